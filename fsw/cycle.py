@@ -7,7 +7,7 @@ from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate.joints import JointEstimate, LoadEstimate, apply_calibration, update_joints, update_load
-from fsw.executive.commands import continue_sequence, handle
+from fsw.executive.commands import continue_planning, continue_sequence, handle
 from fsw.executive.context import CommandContext, known_names, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
@@ -29,8 +29,9 @@ def step(
     structure_C, readings = state.structure_C, state.structure_readings
     if usable and state.tick % config.params.motion.load_period_cycles == 0:
         structure_C, readings = _filter_structure(config, state, sensors.structure_C)
-        # a move and its protection keep the arm that the move was planned with
-        if state.move is None and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
+        # a plan, its move and its protection keep the arm that they began with
+        is_kept = state.planning is not None or state.move is not None
+        if not is_kept and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
             config = configure_at(config, structure_C)
             state = replace(state, changed_config=config)
     joints, load, tool_channels = _estimate(config, state, sensors, usable)
@@ -39,7 +40,8 @@ def step(
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
     moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
     backlash_state = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, backlash_state, moved.move, preload)
+    mode = moved.mode if state.planning is None else state.rest_mode
+    arm = describe_arm(mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
@@ -52,6 +54,7 @@ def step(
         joints=joints,
         load=load,
         planned_backlash_rad=planned_backlash_rad,
+        planning=after.planning,
         move=after.move,
         preload=preload,
         sequence=after.sequence,
@@ -105,12 +108,15 @@ def _decide(
     commands: tuple[Command, ...],
     usable: bool,
 ) -> tuple[State, JointEstimate, tuple[Evr, ...]]:
-    """Handle the commands, then begin the next step of a sequence that waits."""
-    if not commands and (state.sequence is None or state.move is not None):
+    """Handle the commands, go on with a plan, then begin the next step of a sequence that waits."""
+    if not commands and state.planning is None and (state.sequence is None or state.move is not None):
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
         context = _receive(context.state.changed_config or config, context, command)
+    # a command that has just arrived is planned from the next cycle on
+    if context.state.planning is not None and context.state.planning is state.planning:
+        context = continue_planning(config, context)
     context = continue_sequence(context.state.changed_config or config, context)
     return context.state, context.state.joints, context.evrs
 
@@ -143,4 +149,5 @@ def _move(
             joint, found = result.found_hardstop
             before, joints = joints, apply_calibration(config, joints, load.torque_Nm, joint, found)
             evrs = (found.to_event(joint, float((joints.motor_rad - before.motor_rad)[joint])), *evrs)
-    return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, preload, backlash_rad
+    outcome = MoveOutcome(mode, state.planning, move, state.sequence, state.fault, evrs)
+    return outcome, joints, preload, backlash_rad

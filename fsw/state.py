@@ -1,6 +1,7 @@
 """State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, JointChannels, Outputs
 from fsw.motion.move import Move
 from fsw.motion.preload import PreloadState
+from fsw.motion.work import Work
 from fsw.protect.monitors import MonitorState
 from fsw.protect.responses import StandingFault
 
@@ -39,6 +41,19 @@ class Sequence:
 
 
 @cycle_record
+class Planning:
+    """Command that is being planned while the arm rests on its brakes."""
+
+    command: SequenceStep
+    rest_mode: Mode
+    """Mode of the arm before and, after a refusal, again."""
+    surface: TargetSurface | None
+    """Surface that the command is to keep away from."""
+    work: Work[Any]
+    """Work that is left."""
+
+
+@cycle_record
 class State:
     """Everything that a cycle leaves for the next one."""
 
@@ -50,6 +65,8 @@ class State:
     load: LoadEstimate
     planned_backlash_rad: Array
     """Position of each output in its backlash that the set-points assume, (5,)."""
+    planning: Planning | None
+    """Command that is being planned; None if there is none."""
     move: Move | None
     """Move under way; None while the brakes hold the arm."""
     preload: PreloadState | None
@@ -68,6 +85,16 @@ class State:
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""
 
+    @property
+    def is_busy(self) -> bool:
+        """Return whether a command is under way."""
+        return self.move is not None or self.sequence is not None or self.planning is not None
+
+    @property
+    def rest_mode(self) -> Mode:
+        """Return the mode in which the arm is protected; a command that is being planned changes nothing."""
+        return self.mode if self.planning is None else self.planning.rest_mode
+
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
     """Build the state before the first cycle, brakes on, power off; the reference is of an earlier homing."""
@@ -80,6 +107,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         joints=uninitialised_estimate(config, no_reference(config) if reference is None else reference),
         load=no_load(n),
         planned_backlash_rad=np.zeros(n),
+        planning=None,
         move=None,
         preload=None,
         sequence=None,
@@ -115,7 +143,7 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
     return JointChannels(
         tick,
         state.mode,
-        state.move is not None or state.sequence is not None,
+        state.is_busy,
         joints.motor_rad,
         joints.motor_rate_rad_s,
         last_setpoint(state),

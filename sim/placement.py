@@ -18,9 +18,10 @@ from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import no_reference
 from fsw.executive.context import known_names
 from fsw.executive.expansion import locate_surface
-from fsw.executive.planning import plan_command, plan_sequence
+from fsw.executive.planning import PlannedSequence, Start, plan_command
 from fsw.kinematics.transforms import Array, angle_between, normalize
 from fsw.motion.plan import JointPositions, Plan, Refusal, estimate_at
+from fsw.motion.work import complete
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N, random_surface
 from sim.loop import ClosedLoop
@@ -179,7 +180,7 @@ def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed:
         if isinstance(unstow, Refusal):
             return Preview(placement, f"{unstow.reason} on the way from the stowed to the ready pose")
     surface = locate_surface(config, joints, command.tool, command, None)
-    planned = plan_sequence(config, joints, command.tool, command, surface)
+    planned = complete(config, plan_command(Start(joints, command.tool, surface), command))
     if isinstance(planned, Refusal):
         return Preview(placement, planned.reason)
     return Preview(placement, None, planned.plans)
@@ -189,12 +190,12 @@ def unstow_duration_s(arm: BuiltArm) -> float:
     """Compute the duration of the move from the stowed to the ready pose."""
     config = configure(arm.params)
     plan = _plan_unstow(config, first_estimate(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
-    return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
+    return 0.0 if isinstance(plan, Refusal) else plan.duration_s
 
 
-def _plan_unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
+def _plan_unstow(config: Config, joints: JointEstimate) -> PlannedSequence | Refusal:
     stowed = joints_at(joints, np.array(config.params.poses.stowed_rad))
-    return plan_command(config, stowed, config.params.tools[0].name, Unstow(), None)
+    return complete(config, plan_command(Start(stowed, config.params.tools[0].name, None), Unstow()))
 
 
 def first_estimate(config: Config, output_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, CollisionGeometry, TargetSurface
 from fsw.kinematics.chain import Frames
-from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
+from fsw.kinematics.transforms import Array, Pose, dot, inverse, norm, rotate_back
 
 ROUNDING_M: Final = 1e-5
 """Rounding error: a part that starts too close may come this much closer."""
@@ -68,37 +68,73 @@ class ClearanceViolation:
         )
 
 
-def judge_clearances(
-    geometry: CollisionGeometry, clearance: Array, padding_m: float, touching: str | None = None
-) -> ClearanceViolation | None:
-    """Find the first pose of a path at which a part of the arm is too close to an obstacle.
+@dataclass(frozen=True, slots=True, eq=False)
+class PathClearance:
+    """Clearance of the poses of a path that have been looked at, in their order."""
+
+    least_m: Array
+    """Distance to be kept by each part from each obstacle, (parts, obstacles)."""
+    nearest_m: Array
+    """Least distance of each part from each obstacle so far, (parts, obstacles)."""
+    poses: int = 0
+    """Number of poses that have been looked at."""
+    violation: tuple[int, int, int] | None = None
+    """Part, obstacle and pose of the first distance that is too small."""
+
+
+def begin_clearance(clearance_m: Array, padding_m: float, touching: str | None = None) -> PathClearance:
+    """Begin a path with the clearance of its first pose.
 
     A part that starts closer than the padding may stay as close or move away, so that the arm can leave. Only
     where a tool touches may a part start below the surface.
 
     Args:
-        clearance: Distances of `compute_clearances`, shape (parts, obstacles, n).
+        clearance_m: Distances of `compute_clearances` at the first pose, shape (parts, obstacles).
         padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
     """
-    least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
+    least_m = np.minimum(padding_m, clearance_m - ROUNDING_M)
     if touching is None:
-        least[:, SURFACE] = np.maximum(least[:, SURFACE], 0.0)
-    bad = clearance < least
-    if not bad.any():
+        least_m[:, SURFACE] = np.maximum(least_m[:, SURFACE], 0.0)
+    return PathClearance(least_m, np.full_like(least_m, np.inf))
+
+
+def follow_clearance(path: PathClearance, clearance_m: Array) -> PathClearance:
+    """Look at the next poses of a path, by their distances of `compute_clearances`."""
+    nearest_m = np.minimum(path.nearest_m, clearance_m.min(axis=-1))
+    violation, bad = path.violation, clearance_m < path.least_m[..., None]
+    if violation is None and bad.any():
+        first = int(bad.any(axis=(0, 1)).argmax())
+        short = np.where(bad[..., first], clearance_m[..., first] - path.least_m, np.inf)
+        part, obstacle = np.unravel_index(int(short.argmin()), short.shape)
+        violation = int(part), int(obstacle), path.poses + first
+    return PathClearance(path.least_m, nearest_m, path.poses + clearance_m.shape[-1], violation)
+
+
+def describe_violation(geometry: CollisionGeometry, path: PathClearance) -> ClearanceViolation | None:
+    """Describe the first violation of a path, or return None if there is none."""
+    if path.violation is None:
         return None
-    first = int(bad.any(axis=(0, 1)).argmax())
-    short = np.where(bad[..., first], clearance[..., first] - least[..., 0], np.inf)
-    part, obstacle = np.unravel_index(int(short.argmin()), short.shape)
+    part, obstacle, first = path.violation
     return ClearanceViolation(
         geometry.parts[part],
         geometry.obstacles[obstacle],
         geometry.titles[geometry.parts[part]],
         geometry.titles[geometry.obstacles[obstacle]],
-        float(clearance[part, obstacle].min()),
-        float(least[part, obstacle, 0]),
+        float(path.nearest_m[part, obstacle]),
+        float(path.least_m[part, obstacle]),
         first,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clearances:
+    """Distances of the parts of the arm to the obstacles in n poses."""
+
+    near_m: Array
+    """Distance of each part to each obstacle within the bound, else infinite, (parts, obstacles, n)."""
+    beyond_m: Array
+    """Lower bound of all other distances, which are beyond the bound, (n,)."""
 
 
 def compute_clearances(
@@ -107,27 +143,53 @@ def compute_clearances(
     within_m: float,
     touching: str | None = None,
     surface: TargetSurface | None = None,
-) -> Array:
-    """Compute the distance [m] of each part of the arm to each obstacle, (parts, obstacles, n).
+) -> Clearances:
+    """Compute the distances of each part of the arm to each obstacle, exactly where they are within a bound.
 
-    Those beyond `within_m`, of a tool that is touching, and to a surface that is not there are infinite.
+    Those of a tool that is touching, and to a surface that is not there, do not count.
     """
     arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
-    clearance = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
+    near_m = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
+    beyond_m = np.full(X_RS.p.shape[-1], np.inf)
+    ignored = np.zeros(arm.part.size, bool)
+    if touching is not None:
+        ignored = arm.part == geometry.parts.index(touching)
     ground = TargetSurface(np.array([0.0, 0.0, geometry.ground_z_m]), UP)
     planes = {GROUND: _compute_heights(geometry, X_RS, ground)}
     if surface is not None:
         planes[SURFACE] = _compute_surface_distances(geometry, X_RS, surface)
     for plane, height in planes.items():
-        shape, pose = np.nonzero(height < within_m)
-        np.minimum.at(clearance[:, plane], (arm.part[shape], pose), height[shape, pose])
-    shape, obstacle, pose = _find_neighbours(geometry, X_RS.p, within_m)
+        height[ignored] = np.inf
+        is_near = height <= within_m
+        shape, pose = np.nonzero(is_near)
+        np.minimum.at(near_m[:, plane], (arm.part[shape], pose), height[shape, pose])
+        beyond_m = np.minimum(beyond_m, np.where(is_near, np.inf, height).min(axis=0))
+    bound = _bound_distances(geometry, X_RS.p)
+    bound[:, ignored] = np.inf
+    is_near = bound <= within_m
+    beyond_m = np.minimum(beyond_m, np.where(is_near, np.inf, bound).min(axis=(0, 1)))
+    obstacle, shape, pose = np.nonzero(is_near)
     distance = _compute_distances(geometry, X_RS[shape, pose], shape, obstacle)
-    np.minimum.at(clearance, (arm.part[shape], rover.part[obstacle], pose), distance)
-    if touching is not None:
-        clearance[geometry.parts.index(touching)] = np.inf
-    clearance[clearance > within_m] = np.inf
-    return clearance
+    is_near = distance <= within_m
+    np.minimum.at(
+        near_m,
+        (arm.part[shape][is_near], rover.part[obstacle][is_near], pose[is_near]),
+        distance[is_near],
+    )
+    np.minimum.at(beyond_m, pose[~is_near], distance[~is_near])
+    return Clearances(near_m, beyond_m)
+
+
+def measure_motion(geometry: CollisionGeometry, frames: Frames) -> Array:
+    """Measure how far the shapes of the arm move from each pose (n) to the next, (n - 1,) [m].
+
+    No point of the core of a shape, to which its rounding is added, moves farther in a straight line.
+    """
+    X_RS = place_shapes(geometry, frames)
+    shift_m = norm(np.diff(X_RS.p))
+    turned_m = np.einsum("kmn,km->mn", norm(np.diff(X_RS.R)), geometry.arm.half_m)
+    moved_m: Array = (shift_m + turned_m).max(axis=0)
+    return moved_m
 
 
 def place_shapes(geometry: CollisionGeometry, frames: Frames) -> Pose:
@@ -189,17 +251,19 @@ def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: TargetSu
     return replace(surface, radius_m=min(surface.radius_m, max(0.5 * float(nearest_m), LEAST_ROCK_M)))
 
 
-def _find_neighbours(geometry: CollisionGeometry, p_RS: Array, within_m: float) -> tuple[Indices, ...]:
-    """Find pairs of shapes that may be nearer, by bounding spheres: indices of arm, rover, pose, (k,)."""
+def _bound_distances(geometry: CollisionGeometry, p_RS: Array) -> Array:
+    """Bound the distances (r, m, n) of the shapes of the arm to those of the rover, by bounding spheres."""
     arm, rover = geometry.arm, geometry.rover
-    found = []
-    for k in range(rover.part.size):
-        X_RO = rover.X_CS[k]
-        p_O = rotate_back(X_RO.R, p_RS - X_RO.p[:, None, None])
-        bound = point_distance(p_O, rover.half_m[:, k, None, None]) - arm.bounding_radius_m[:, None]
-        shape, pose = np.nonzero(bound < within_m + rover.radius_m[k])
-        found.append((shape, np.full_like(shape, k), pose))
-    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
+    r, (_, m, n) = rover.part.size, p_RS.shape
+    # one product turns all centres into the axes of all obstacles
+    p_O = np.swapaxes(rover.X_CS.R, 0, 2).reshape(r, 3, 3) @ p_RS.reshape(3, m * n)
+    p_O -= np.einsum("ijr,ir->rj", rover.X_CS.R, rover.X_CS.p)[:, :, None]
+    p_O = np.abs(p_O).reshape(r, 3, m, n)
+    p_O -= rover.half_m.T[:, :, None, None]
+    np.maximum(p_O, 0.0, out=p_O)
+    distance: Array = np.sqrt(np.einsum("rimn,rimn->rmn", p_O, p_O))
+    distance -= arm.bounding_radius_m[:, None] + rover.radius_m[:, None, None]
+    return distance
 
 
 def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, shape: Indices, obstacle: Indices) -> Array:
@@ -213,9 +277,13 @@ def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, shape: Indices, 
     distance = np.empty(shape.size)
     line_S, line_O = geometry.arm.is_capsule[shape], geometry.rover.is_capsule[obstacle]
     one, other, neither = line_S, ~line_S & line_O, ~line_S & ~line_O
-    distance[one] = edges_distance(X_OS[one], half_S[:, one], half_O[:, one], edges=1)
-    distance[other] = edges_distance(inverse(X_OS[other]), half_O[:, other], half_S[:, other], edges=1)
-    distance[neither] = box_distance(X_OS[neither], half_O[:, neither], half_S[:, neither])
+    # most poses have pairs of few kinds, and each kind takes its time even without a pair
+    if one.any():
+        distance[one] = edges_distance(X_OS[one], half_S[:, one], half_O[:, one], edges=1)
+    if other.any():
+        distance[other] = edges_distance(inverse(X_OS[other]), half_O[:, other], half_S[:, other], edges=1)
+    if neither.any():
+        distance[neither] = box_distance(X_OS[neither], half_O[:, neither], half_S[:, neither])
     return distance - geometry.arm.radius_m[shape] - geometry.rover.radius_m[obstacle]
 
 

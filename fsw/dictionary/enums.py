@@ -15,6 +15,8 @@ class Mode(IntEnum):
     FAULTED = 5
     PRELOAD = 6
     """A tool presses on a surface, and only the force may change."""
+    PLANNING = 7
+    """A command is being planned; the arm rests on its brakes."""
 
 
 class Joint(IntEnum):

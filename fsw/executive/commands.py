@@ -74,7 +74,7 @@ from fsw.executive.expansion import (
     locate_surface,
     locate_touched_surface,
 )
-from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
+from fsw.executive.planning import MotionCommand, PlannedSequence, SingleMoveCommand, Start, plan_command
 from fsw.executive.poses import check_homing, check_homing_all
 from fsw.messages import Flags
 from fsw.motion import homing
@@ -83,6 +83,7 @@ from fsw.motion.move import ALL_JOINTS, NO_JOINTS, Move, MovePlan, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
+    PressPlan,
     anchor_contact,
     holding_force_N,
     locate_by_resolvers,
@@ -90,7 +91,8 @@ from fsw.motion.preload import (
     plan_preload,
     preload_limit_A,
 )
-from fsw.state import Hold, Sequence, SequenceStep
+from fsw.motion.work import Work
+from fsw.state import Hold, Planning, Sequence, SequenceStep
 
 
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
@@ -112,31 +114,66 @@ def handle(config: Config, context: CommandContext, command: SequenceStep) -> Co
         case SetParam():
             return set_param(config, context, command)
         case Preload():
-            return _begin_preload(config, context, command)
+            return _plan_press(config, context, command)
         case Hold():
             return _begin_hold(config, context, command)
         case PlaceTool() | ToolChange() | MoveTeachPoint() | Dock() | Process():
-            return _begin_sequence(config, context, command)
+            return _plan_motion(config, context, command)
         case Unstow() | Stow() | MoveJoint() | MoveJoints() | MoveTool() | GuardedMove() | Retract():
-            return _begin_move(config, context, command)
+            return _plan_motion(config, context, command)
         case _:
             assert_never(command)
 
 
-def continue_sequence(config: Config, context: CommandContext) -> CommandContext:
-    """Begin the next step of the sequence if no move is under way; abort it if a step is refused."""
-    sequence = context.state.sequence
-    if sequence is None or context.state.move is not None:
+def continue_planning(config: Config, context: CommandContext) -> CommandContext:
+    """Do the next piece of planning; with a plan the command begins, with a refusal it ends."""
+    planning = context.state.planning
+    if planning is None:
         return context
     if context.state.mode is Mode.FAULTED:
+        return end_planning(context)
+    result = planning.work.advance(config)
+    if isinstance(result, Work):
+        return replace(context, state=replace(context.state, planning=replace(planning, work=result)))
+    state = replace(context.state, mode=planning.rest_mode, planning=None)
+    context = replace(context, state=state)
+    if isinstance(result, Refusal):
+        context = refuse(context, planning.command, result.reason)
+        if state.sequence is None:
+            return context
+        return end_sequence(context, CommandAborted(state.sequence.command))
+    if isinstance(result, PressPlan):
+        return _begin_press(config, context, planning.command, result)
+    if isinstance(planning.command, CompoundCommand):
+        return _begin_sequence(config, context, planning.command, result, planning.surface)
+    assert isinstance(planning.command, SingleMoveCommand)  # no other command is planned
+    return _begin_move(config, context, planning.command, result, planning.surface)
+
+
+def end_planning(context: CommandContext) -> CommandContext:
+    """Give up the command that is being planned, and report it unless it is a step of a sequence."""
+    state = context.state
+    if state.planning is None:
+        return context
+    mode = state.mode if state.mode is Mode.FAULTED else state.planning.rest_mode
+    ended = replace(context, state=replace(state, mode=mode, planning=None))
+    if state.sequence is not None:
+        return ended
+    return with_events(ended, CommandAborted(command_name(state.planning.command)))
+
+
+def continue_sequence(config: Config, context: CommandContext) -> CommandContext:
+    """Begin the next step of the sequence if none is under way; abort it if a step is refused."""
+    state, sequence = context.state, context.state.sequence
+    if sequence is None or state.move is not None or state.planning is not None:
+        return context
+    if state.mode is Mode.FAULTED:
         return end_sequence(context, CommandAborted(sequence.command))
     if not sequence.remaining:
         return end_sequence(context, CommandCompleted(sequence.command))
     remaining = replace(sequence, remaining=sequence.remaining[1:])
-    begun = handle(
-        config, replace(context, state=replace(context.state, sequence=None)), sequence.remaining[0]
-    )
-    if begun.state.move is None:
+    begun = handle(config, replace(context, state=replace(state, sequence=None)), sequence.remaining[0])
+    if begun.state.move is None and begun.state.planning is None:
         return end_sequence(begun, CommandAborted(sequence.command))
     return replace(begun, state=replace(begun.state, sequence=remaining))
 
@@ -148,6 +185,7 @@ def clear_fault(config: Config, context: CommandContext, command: ClearFault) ->
         return refuse(context, command, "no fault stands")
     if context.state.move is not None:
         return refuse(context, command, "the arm is still being stopped")
+    context = end_planning(context)
     if context.state.sequence is not None:
         context = end_sequence(context, CommandAborted(context.state.sequence.command))
     tool = _touching_tool(config, context) if mode is Mode.GUARDED else context.state.tool
@@ -157,7 +195,8 @@ def clear_fault(config: Config, context: CommandContext, command: ClearFault) ->
 
 
 def stop_move(config: Config, context: CommandContext, command: Stop) -> CommandContext:
-    """Abort the sequence, and stop the move under way."""
+    """Abort the sequence, and stop the move or the planning under way."""
+    context = end_planning(context)
     if context.state.sequence is not None:
         context = end_sequence(context, CommandAborted(context.state.sequence.command))
     context = with_events(context, CommandCompleted(command_name(command)))
@@ -199,23 +238,48 @@ def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
     return ModeEvent.CLEAR_STOWED if is_stowed(config, context.state.joints) else ModeEvent.CLEAR
 
 
-def _begin_sequence(config: Config, context: CommandContext, command: CompoundCommand) -> CommandContext:
-    """Begin a compound command, after each step was planned from the end of the step before it."""
+def _plan_motion(config: Config, context: CommandContext, command: MotionCommand) -> CommandContext:
+    """Begin the planning of a command that moves the arm, after the checks that need no plan."""
     state = context.state
     problem = (
-        check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
+        check_ready(context) or check_arguments(config.params, command) or check_calibrated(context, command)
     )
     problem = problem or check_mode(context, EVENT_OF[type(command)])
-    if isinstance(command, ToolChange):
-        problem = problem or _check_tool_change(config, context, command)
-    if isinstance(command, Dock):
-        problem = problem or _check_other_tool(context, None)
+    match command:
+        case GuardedMove() | Retract():
+            problem = problem or _check_other_tool(context, command.tool)
+        case ToolChange():
+            problem = problem or _check_tool_change(config, context, command)
+        case Dock():
+            problem = problem or _check_other_tool(context, None)
+        case _:
+            pass
     if problem is not None:
         return refuse(context, command, problem)
     surface = locate_surface(config, state.joints, state.tool, command, known_surface(config, context))
-    planned = plan_sequence(config, state.joints, state.tool, command, surface)
-    if isinstance(planned, Refusal):
-        return refuse(context, command, planned.reason)
+    work = plan_command(Start(state.joints, state.tool, surface), command)
+    return _plan(context, command, work, surface)
+
+
+def _plan(
+    context: CommandContext, command: SequenceStep, work: Work[Any], surface: TargetSurface | None
+) -> CommandContext:
+    """Begin the planning of a command, which the arm awaits on its brakes."""
+    state = context.state
+    planning = Planning(command, state.mode, surface, work)
+    mode = TRANSITIONS[state.mode, ModeEvent.PLAN]
+    return replace(context, state=replace(state, mode=mode, planning=planning))
+
+
+def _begin_sequence(
+    config: Config,
+    context: CommandContext,
+    command: CompoundCommand,
+    planned: PlannedSequence,
+    surface: TargetSurface | None,
+) -> CommandContext:
+    """Begin a compound command; each of its steps is planned again when it begins."""
+    state = context.state
     evrs: tuple[Evr, ...] = ()
     if isinstance(command, ToolChange):
         spot = locate_spot(config, state.joints, state.tool, command)
@@ -278,28 +342,24 @@ def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate
     return _accept(context, command, mode=mode, move=move, joints=joints)
 
 
-def _begin_move(config: Config, context: CommandContext, command: SingleMoveCommand) -> CommandContext:
-    problem = (
-        check_ready(context) or check_arguments(config.params, command) or check_calibrated(context, command)
-    )
-    problem = problem or check_mode(context, EVENT_OF[type(command)])
-    if isinstance(command, GuardedMove | Retract):
-        problem = problem or _check_other_tool(context, command.tool)
-    if problem is not None:
-        return refuse(context, command, problem)
-    joints, tool = context.state.joints, context.state.tool
-    surface = locate_surface(config, joints, tool, command, known_surface(config, context))
-    plan = plan_command(config, joints, tool, command, surface)
-    if isinstance(plan, Refusal):
-        return refuse(context, command, plan.reason)
+def _begin_move(
+    config: Config,
+    context: CommandContext,
+    command: SingleMoveCommand,
+    planned: PlannedSequence,
+    surface: TargetSurface | None,
+) -> CommandContext:
+    """Begin the move of a single command."""
+    joints = context.state.joints
     mode = TRANSITIONS[context.state.mode, EVENT_OF[type(command)]]
     done = ModeEvent.DONE_STOWED if isinstance(command, Stow) else ModeEvent.DONE
     tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else context.state.tool
+    last = planned.plans[-1]
     move = MovePlan(
         command_name(command),
         TRANSITIONS[mode, done],
         _only(command.joint) if isinstance(command, MoveJoint) else ALL_JOINTS,
-        plan.paths,
+        tuple(path for plan in planned.plans for path in plan.paths),
         guarded_tool=tool if isinstance(command, GuardedMove) else None,
     )
     # a guarded move of a tool already in contact ends at once: the preload stays as it is
@@ -307,17 +367,18 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
     return _accept(
         context,
         command,
-        *(() if plan.branch is None else (BranchChosen(tool, plan.branch),)),
+        *(() if last.branch is None else (BranchChosen(tool, last.branch),)),
         mode=mode,
         tool=tool,
         move=_new_move(config, joints, move),
         preload=tool_preload(context, tool) if is_kept else None,
-        planned_backlash_rad=plan.backlash_rad,
+        planned_backlash_rad=last.backlash_rad,
         surface=surface,
     )
 
 
-def _begin_preload(config: Config, context: CommandContext, command: Preload) -> CommandContext:
+def _plan_press(config: Config, context: CommandContext, command: Preload) -> CommandContext:
+    """Begin the planning of a press, after the checks that need no plan."""
     state = context.state
     problem = (
         check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
@@ -338,16 +399,21 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
     located = locate_by_resolvers(state.joints, preload)
     if state.mode is Mode.GUARDED:
         preload = anchor_contact(config, located, preload)
-    planned = plan_preload(config, located, preload, command.force_N)
-    if isinstance(planned, Refusal):
-        return refuse(context, command, planned.reason)
-    plan, change = planned
-    done = ModeEvent.DONE_RELEASED if command.force_N == 0 else ModeEvent.DONE
+    work = plan_preload(config, located, preload, command.force_N)
+    return _plan(context, command, work, state.surface)
+
+
+def _begin_press(
+    config: Config, context: CommandContext, command: SequenceStep, planned: PressPlan
+) -> CommandContext:
+    """Begin a press."""
+    state, change = context.state, planned.change
+    done = ModeEvent.DONE_RELEASED if change.target_N == 0 else ModeEvent.DONE
     end_mode = TRANSITIONS[Mode.PRELOAD, done]
-    press = MovePlan(command_name(command), end_mode, ALL_JOINTS, plan.paths, preload_change=change)
+    press = MovePlan(command_name(command), end_mode, ALL_JOINTS, planned.paths, preload_change=change)
     move = replace(
         _new_move(config, state.joints, press),
-        force_fit=ForceFit(preload),
+        force_fit=ForceFit(change.start),
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
     return _accept(
@@ -355,8 +421,8 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         command,
         mode=Mode.PRELOAD,
         move=move,
-        preload=preload,
-        planned_backlash_rad=plan.backlash_rad,
+        preload=change.start,
+        planned_backlash_rad=planned.backlash_rad,
     )
 
 

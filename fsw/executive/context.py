@@ -69,6 +69,8 @@ class ModeEvent(IntEnum):
     """A tool no longer presses; it still touches."""
     CLEAR_PRESSED = 14
     """Cleared where a tool may press."""
+    PLAN = 15
+    """A command begins to be planned. After that the mode is again that in which the arm rests."""
 
 
 TRANSITIONS: Final[dict[tuple[Mode, ModeEvent], Mode]] = {
@@ -95,6 +97,10 @@ TRANSITIONS: Final[dict[tuple[Mode, ModeEvent], Mode]] = {
     (Mode.PRELOAD, ModeEvent.DONE_RELEASED): Mode.GUARDED,
     (Mode.PRELOAD, ModeEvent.STOP): Mode.PRELOAD,
     (Mode.FAULTED, ModeEvent.CLEAR_PRESSED): Mode.PRELOAD,
+    **{
+        (mode, ModeEvent.PLAN): Mode.PLANNING
+        for mode in (Mode.STOWED, Mode.DEPLOYED, Mode.GUARDED, Mode.PRELOAD)
+    },
     **{(mode, ModeEvent.FAULT): Mode.FAULTED for mode in Mode},
 }
 """Next mode by mode and event; a pair that is not here is refused."""
@@ -179,6 +185,8 @@ def check_ready(context: CommandContext) -> str | None:
         return f"{context.state.move.plan.command} is under way"
     if context.state.sequence is not None:
         return f"{context.state.sequence.command} is under way"
+    if context.state.planning is not None:
+        return f"{command_name(context.state.planning.command)} is being planned"
     return None if context.usable else "a reading is unusable"
 
 

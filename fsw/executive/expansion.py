@@ -12,7 +12,6 @@ from fsw.dictionary.commands import (
     Dock,
     GuardedMove,
     MoveJoint,
-    MoveJoints,
     MoveTeachPoint,
     MoveTool,
     PlaceTool,
@@ -23,15 +22,16 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params, TeachPoint
-from fsw.dictionary.types import AUTO, joints5, vector3
+from fsw.dictionary.types import AUTO, vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.poses import HOMED_TWICE, find_gravity_pose
+from fsw.executive.poses import HOMED_TWICE
 from fsw.kinematics.transforms import Array, normalize
 from fsw.motion.plan import Compensation, Refusal
 from fsw.motion.plan_tool import Line, start_line
-from fsw.state import Hold, Sequence, SequenceStep
+from fsw.state import Sequence, SequenceStep
 
-CompoundCommand = PlaceTool | ToolChange | MoveTeachPoint | Dock | Process
+ExpandedCommand = PlaceTool | ToolChange | MoveTeachPoint | Dock
+CompoundCommand = ExpandedCommand | Process
 
 UNPARK_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
 """Order in which the joints leave their parking angles for the second homing: sideways first, down last."""
@@ -41,11 +41,13 @@ def expand_command(
     config: Config,
     joints: JointEstimate,
     tool: str,
-    command: CompoundCommand,
+    command: ExpandedCommand,
     surface: TargetSurface | None = None,
     farther_m: float = 0.0,
 ) -> tuple[SequenceStep, ...] | Refusal:
     """Expand a compound command into single moves from the present joint angles.
+
+    The move of a process follows from a search of its pose (`planning.py`).
 
     Args:
         surface: Surface of `locate_surface`; None if there is none.
@@ -60,12 +62,6 @@ def expand_command(
             return _expand_teach_point(config, joints, command)
         case Dock():
             return _expand_dock(config, command)
-        case Process():
-            pose = find_gravity_pose(config, joints, command)
-            if isinstance(pose, Refusal):
-                return pose
-            tilt = MoveJoints(joints5(pose), command.backlash, command.deflection)
-            return tilt, Hold(command.duration_s, command.vibrate)
         case _:
             assert_never(command)
 

@@ -3,6 +3,7 @@
 In the pose of a process, gravity has a given direction in a tool.
 """
 
+from dataclasses import replace
 from math import degrees
 from typing import Final
 
@@ -12,12 +13,14 @@ from fsw.config import Config
 from fsw.dictionary.commands import Process
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.arm import wrap_into_limits
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, angle_between
 from fsw.motion.plan import Compensation, Refusal, describe_worst_limit, worst_limit_excess
+from fsw.motion.work import Work
 
 HOMED_TWICE: Final = Joint.ELEVATION
 """Joint that is homed a second time, in a pose in which its load is as wanted."""
@@ -97,52 +100,72 @@ Each pass divides the error by at least 80 sin(a); a is the angle of gravity to 
 that plane the two solutions of the wrist coincide.
 """
 DIRECTION_TOLERANCE_RAD = 1e-9
+SIDES: Final = (1.0, -1.0)
+"""Sides of the plane of wrist and turret axis, on which the two solutions are."""
 
 
-def find_gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
-    """Find outputs, (5,) [rad], with gravity along `gravity_T` of the tool, by turning wrist and turret only.
+@cycle_record
+class GravityPoseSearch(Work[Array | Refusal]):
+    """Search of outputs, (5,) [rad], with gravity along `gravity_T` of the tool, by wrist and turret only.
 
     The wrist has two solutions; the nearer one within the soft limits is taken. Else it is a refusal.
     """
-    compensation = Compensation(command.backlash, command.deflection)
-    gravity = compensation.gravity(joints)
-    down_R = joints.gravity_R_m_s2 / np.linalg.norm(joints.gravity_R_m_s2)
-    down_T = np.array(command.gravity_T) / np.linalg.norm(command.gravity_T)
-    poses = [_solve_side(config, joints, command, down_R, down_T, gravity, side) for side in (1.0, -1.0)]
-    found = [pose for pose in poses if not isinstance(pose, Refusal)]
-    inside = [pose for pose in found if worst_limit_excess(config, pose) <= 0]
-    if inside:
-        return min(inside, key=lambda pose: float(np.abs(pose - joints.output_rad).max()))
-    return Refusal(describe_worst_limit(config, found[0])) if found else poses[0]
 
+    joints: JointEstimate
+    command: Process
+    pose_rad: Array
+    """Present pose of the solution that is searched, (5,)."""
+    passes: int = 0
+    """Passes that turned wrist and turret of this solution."""
+    found: tuple[Array | Refusal, ...] = ()
+    """Results of the solutions that were searched."""
 
-def _solve_side(
-    config: Config,
-    joints: JointEstimate,
-    command: Process,
-    down_R: Array,
-    down_T: Array,
-    gravity_R_m_s2: Array,
-    side: float,
-) -> Array | Refusal:
-    """Find the pose (5,) with gravity on one side of the plane of wrist and turret axis."""
-    arm, pose = config.arm, joints.output_rad.copy()
-    for _ in range(MAX_DEFLECTION_PASSES):
-        frames = settle_output(arm, pose, gravity_R_m_s2).frames
-        R_RT = tool_pose(arm, frames, command.tool).R
+    def advance(self, config: Config) -> "GravityPoseSearch | Array | Refusal":
+        """Turn wrist and turret once, with the deflection of the present pose."""
+        turned = self._turn(config)
+        if isinstance(turned, GravityPoseSearch):
+            return turned
+        found = (*self.found, turned)
+        if len(found) < len(SIDES):
+            return GravityPoseSearch(self.joints, self.command, self.joints.output_rad, found=found)
+        return self._choose(config, found)
+
+    def _turn(self, config: Config) -> "GravityPoseSearch | Array | Refusal":
+        joints, command, side = self.joints, self.command, SIDES[len(self.found)]
+        gravity = Compensation(command.backlash, command.deflection).gravity(joints)
+        down_R = joints.gravity_R_m_s2 / np.linalg.norm(joints.gravity_R_m_s2)
+        down_T = np.array(command.gravity_T) / np.linalg.norm(command.gravity_T)
+        frames = settle_output(config.arm, self.pose_rad, gravity).frames
+        R_RT = tool_pose(config.arm, frames, command.tool).R
         error_rad = float(np.linalg.norm(R_RT.T @ down_R - down_T))
         if error_rad < DIRECTION_TOLERANCE_RAD:
-            return pose
+            return self.pose_rad
         wrist_R, turret_R = frames.X_RL.R[:, 2, Joint.WRIST + 1], frames.X_RL.R[:, 2, Joint.TURRET + 1]
         pointed_R = R_RT @ down_T
+        if self.passes == MAX_DEFLECTION_PASSES:
+            return Refusal(
+                _describe_wrist_range(wrist_R, turret_R, down_R, pointed_R)
+                or f"no pose found: gravity would be {error_rad:.6g} rad off"
+            )
+        pose = self.pose_rad.copy()
         between_R = _intermediate_direction(wrist_R, turret_R, down_R, pointed_R, side)
         pose[Joint.WRIST] += _angle_about(wrist_R, between_R, down_R)
         pose[Joint.TURRET] += _angle_about(turret_R, pointed_R, between_R)
-        pose[Joint.WRIST :] = wrap_into_limits(arm, pose, joints.output_rad)[Joint.WRIST :]
-    return Refusal(
-        _describe_wrist_range(wrist_R, turret_R, down_R, pointed_R)
-        or f"no pose found: gravity would be {error_rad:.6g} rad off"
-    )
+        pose[Joint.WRIST :] = wrap_into_limits(config.arm, pose, joints.output_rad)[Joint.WRIST :]
+        return replace(self, pose_rad=pose, passes=self.passes + 1)
+
+    def _choose(self, config: Config, results: tuple[Array | Refusal, ...]) -> Array | Refusal:
+        """Choose the nearest pose within the soft limits."""
+        found = [pose for pose in results if not isinstance(pose, Refusal)]
+        inside = [pose for pose in found if worst_limit_excess(config, pose) <= 0]
+        if inside:
+            return min(inside, key=lambda pose: float(np.abs(pose - self.joints.output_rad).max()))
+        return Refusal(describe_worst_limit(config, found[0])) if found else results[0]
+
+
+def find_gravity_pose(joints: JointEstimate, command: Process) -> GravityPoseSearch:
+    """Begin the search of the pose of a process."""
+    return GravityPoseSearch(joints, command, joints.output_rad)
 
 
 def _intermediate_direction(

@@ -11,21 +11,22 @@ from fsw.dictionary.evrs import CommandAborted, Evr
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.context import TRANSITIONS, ModeEvent, stop_event
+from fsw.executive.context import TRANSITIONS, ModeEvent, command_name, stop_event
 from fsw.kinematics.transforms import Array
 from fsw.motion.move import NO_JOINTS, Move, Phase, distance_travelled, stop_early
 from fsw.motion.paths import LinePath, Setpoint
 from fsw.motion.preload import PreloadState
 from fsw.protect.inputs import ArmStatus, MoveStatus, PressStatus
 from fsw.protect.responses import Decision, Response, StandingFault
-from fsw.state import Sequence
+from fsw.state import Planning, Sequence
 
 
 @cycle_record
 class MoveOutcome:
-    """Mode, move, sequence and standing fault after a move has advanced, and its events."""
+    """Mode, planning, move, sequence and standing fault after a move has advanced, and its events."""
 
     mode: Mode
+    planning: Planning | None
     move: Move | None
     sequence: Sequence | None
     fault: StandingFault | None
@@ -88,31 +89,41 @@ def apply_decision(
     """Apply the decision of protection to mode, move and sequence."""
     match decision.response:
         case None:
-            return MoveOutcome(before.mode, before.move, before.sequence, decision.fault, decision.evrs)
+            return replace(before, fault=decision.fault, evrs=decision.evrs)
         case Response.STOP_AND_BRAKE:
             return _stop(config, before, decision, joints)
         case Response.BRAKE_AND_REFUSE | Response.POWER_OFF:
-            return MoveOutcome(
-                TRANSITIONS[before.mode, ModeEvent.FAULT],
-                None if before.move is None else _brake(before.move, decision),
-                before.sequence,
-                decision.fault,
-                decision.evrs,
+            return replace(
+                before,
+                mode=TRANSITIONS[before.mode, ModeEvent.FAULT],
+                move=None if before.move is None else _brake(before.move, decision),
+                fault=decision.fault,
+                evrs=decision.evrs,
             )
         case _:
             assert_never(decision.response)
 
 
 def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: JointEstimate) -> MoveOutcome:
-    """Stop the move as a commanded stop does; a move that already stops is left as it is."""
-    sequence, move, evrs = before.sequence, before.move, decision.evrs
+    """Stop move or planning as a commanded stop does; a move that already stops is left as it is."""
+    mode, planning, sequence, move, evrs = (
+        before.mode,
+        before.planning,
+        before.sequence,
+        before.move,
+        decision.evrs,
+    )
+    if planning is not None:
+        mode = planning.rest_mode
     if sequence is not None:
         evrs = (*evrs, CommandAborted(sequence.command))
+    elif planning is not None:
+        evrs = (*evrs, CommandAborted(command_name(planning.command)))
     if move is not None and not move.plan.stopped:
         move = stop_early(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
         if move.phase is Phase.SETTLE:
             move = replace(move, phase=Phase.BRAKE, ticks=0)
-    return MoveOutcome(before.mode, move, None, decision.fault, evrs)
+    return MoveOutcome(mode, None, move, None, decision.fault, evrs)
 
 
 def _brake(move: Move, decision: Decision) -> Move:

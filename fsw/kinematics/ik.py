@@ -6,8 +6,7 @@ iteration leads from each of them to the root of the real arm; Newton's method d
 straight. Forward kinematics checks every root. Only limits reject a root.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Final
 
@@ -24,7 +23,17 @@ from fsw.kinematics.arm import (
 )
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import BRANCHES, FREE_SINE, Roots, closed_form
-from fsw.kinematics.roots import CLEAR_OF_FOLD, find_straight, solve_fixed_point, solve_straight
+from fsw.kinematics.roots import (
+    CLEAR_OF_FOLD,
+    FixedPointRoots,
+    FixedPointSearch,
+    NewtonRoots,
+    NewtonSearch,
+    begin_fixed_point,
+    begin_straight,
+    find_straight,
+    keep_on_side,
+)
 from fsw.kinematics.statics import ROOT_TOLERANCE, task_error
 from fsw.kinematics.transforms import (
     Array,
@@ -50,7 +59,7 @@ Of two million targets in the workspace of twenty calibrated arms, none with a l
 """
 TURNS: Final = 5
 """Iterations of the regular approach; its azimuth changes by about a tenth of the turn."""
-CHUNK: Final = 4096
+CHUNK: Final = 1024
 """Targets per chunk of the fixed-point iteration, to bound the memory."""
 EXACT_CHUNK: Final = 256
 """Targets per chunk of the closed form alone; chosen for the processor cache."""
@@ -150,57 +159,106 @@ def inverse_kinematics(
     targets = p_RoTo_R_m.shape[1:]
     p, a = p_RoTo_R_m.reshape(3, -1), approach_R.reshape(3, -1)
     gravity = np.zeros(3) if gravity_R_m_s2 is None else gravity_R_m_s2
-    if arm.orthogonal[tool].is_exact and not gravity.any():
-        chunks = [
-            _solve_exact(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], EXACT_CHUNK)
-        ]
-    else:
-        chunks = [
-            _solve_real(arm, tool, p[:, k], a[:, k], gravity, near_rad) for k in _chunks(p.shape[1], CHUNK)
-        ]
+    size = EXACT_CHUNK if _is_exact(arm, tool, gravity) else CHUNK
+    chunks = []
+    for k in (slice(first, first + size) for first in range(0, max(p.shape[1], 1), size)):
+        search = begin_search(arm, tool, p[:, k], a[:, k], gravity, near_rad)
+        while isinstance(search, IkSearch):
+            search = search.advance()
+        chunks.append(search)
     result = concatenate_records(chunks)
     return IkResult(*(v.reshape(*v.shape[:-1], *targets) for v in record_arrays(result)))
 
 
-def _chunks(n: int, size: int) -> Iterator[slice]:
-    """Yield slices of at most `size` targets; at least one slice."""
-    return (slice(k, k + size) for k in range(0, max(n, 1), size))
+def begin_search(
+    arm: Arm,
+    tool: str,
+    p_RoTo_R_m: Array,
+    approach_R: Array,
+    gravity_R_m_s2: Array,
+    near_rad: Array | None = None,
+) -> "IkSearch | IkResult":
+    """Begin what `inverse_kinematics` does, to be advanced piece by piece; the closed form may be all of it.
 
-
-def _solve_exact(arm: Arm, tool: str, p: Array, a: Array, near_rad: Array | None) -> IkResult:
-    """Solve the orthogonal rigid arm for one chunk of targets (3, n)."""
-    roots = closed_form(arm, tool, p, a)
-    X_RT = tool_pose(arm, forward(arm, roots.output_rad), tool)
-    error = np.max(np.abs(task_error(X_RT, p[:, None], a[:, None])), axis=0)
-    found = (error < ROOT_TOLERANCE) & (roots.wrist_sine >= FREE_SINE)
-    output = np.where(found, roots.output_rad, np.nan)
-    return _classify(arm, _Found(output, np.zeros_like(output), error), _find_reasons(roots), near_rad)
-
-
-def _solve_real(arm: Arm, tool: str, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> IkResult:
-    """Solve the arm that is not orthogonal, or that deflects, for one chunk of targets (3, n)."""
-    roots = closed_form(arm, tool, p, a)
+    Args:
+        p_RoTo_R_m: Positions of targets in m, shape (3, n).
+        approach_R: Unit vectors, shape (3, n).
+        near_rad: As in `inverse_kinematics`, shape (5,) in rad.
+    """
+    roots = closed_form(arm, tool, p_RoTo_R_m, approach_R)
+    if _is_exact(arm, tool, gravity_R_m_s2):
+        X_RT = tool_pose(arm, forward(arm, roots.output_rad), tool)
+        error = np.max(np.abs(task_error(X_RT, p_RoTo_R_m[:, None], approach_R[:, None])), axis=0)
+        found = (error < ROOT_TOLERANCE) & (roots.wrist_sine >= FREE_SINE)
+        output = np.where(found, roots.output_rad, np.nan)
+        return _classify(arm, _Found(output, np.zeros_like(output), error), _find_reasons(roots), near_rad)
     each = roots.missing_m.shape
-    start, missing = roots.output_rad.reshape(5, -1), roots.missing_m.reshape(-1)
-    p8, a8 = (np.broadcast_to(v[:, None], (3, *each)).reshape(3, -1) for v in (p, a))
+    start = roots.output_rad.reshape(5, -1)
+    p8, a8 = (np.broadcast_to(v[:, None], (3, *each)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
     near_limits = limit_excess(arm, wrap_into_limits(arm, start)).max(axis=0) < NEAR_LIMITS_RAD
+    in_reach = roots.missing_m.reshape(-1) == 0
     fold_distance = roots.from_fold.reshape(3, -1).min(axis=0)
-    fixed_point = solve_fixed_point(
-        arm, tool, p8, a8, gravity, start, fold_distance, (missing == 0) & near_limits
+    fixed_point = begin_fixed_point(
+        arm, tool, p8, a8, gravity_R_m_s2, start, fold_distance, in_reach & near_limits
     )
-    unfollowed = (missing == 0) & ~fixed_point.followed
-    reasons = _mark_outside(arm, fixed_point.output_rad, unfollowed, _find_reasons(roots, FREE_SINE))
-    output = np.where(fixed_point.converged, fixed_point.output_rad, np.nan)
-    torque, error = fixed_point.torque_Nm, fixed_point.error
-    straight = find_straight(roots).reshape(-1) & near_limits
-    if straight.any():
-        newton = solve_straight(arm, tool, p, a, gravity, straight.reshape(each))
-        output[:, straight] = np.where(newton.converged, newton.output_rad, np.nan)
-        torque[:, straight], error[straight] = newton.torque_Nm, newton.error
-    found = _Found(
-        _drop_twins(output.reshape(5, *each), roots), torque.reshape(5, *each), error.reshape(each)
+    straight = find_straight(roots) & near_limits.reshape(each)
+    newton = (
+        begin_straight(arm, tool, p_RoTo_R_m, approach_R, gravity_R_m_s2, straight)
+        if straight.any()
+        else None
     )
-    return _classify(arm, found, reasons, near_rad)
+    return IkSearch(arm, tool, p_RoTo_R_m, approach_R, near_rad, roots, fixed_point, straight, newton)
+
+
+def _is_exact(arm: Arm, tool: str, gravity_R_m_s2: Array) -> bool:
+    """Return whether the arm is the orthogonal rigid one, which the closed form solves."""
+    return bool(arm.orthogonal[tool].is_exact and not gravity_R_m_s2.any())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IkSearch:
+    """Search under way for the branches of an arm that is not orthogonal, or that deflects."""
+
+    arm: Arm
+    tool: str
+    p: Array
+    """Targets in m, (3, n)."""
+    a: Array
+    """Approaches, (3, n)."""
+    near_rad: Array | None
+    roots: Roots
+    """Roots of the orthogonal rigid arm."""
+    fixed_point: FixedPointSearch | FixedPointRoots
+    straight: Flags
+    """Roots that are searched by Newton's method, (8, n)."""
+    newton: NewtonSearch | NewtonRoots | None
+    """That search; None if there are no such roots."""
+
+    def advance(self) -> "IkSearch | IkResult":
+        """Do one iteration."""
+        if isinstance(self.fixed_point, FixedPointSearch):
+            return replace(self, fixed_point=self.fixed_point.advance())
+        if isinstance(self.newton, NewtonSearch):
+            return replace(self, newton=self.newton.advance())
+        return self._conclude(self.fixed_point, self.newton)
+
+    def _conclude(self, fixed_point: FixedPointRoots, newton: NewtonRoots | None) -> "IkResult":
+        """Put the roots of both iterations into the slots of their branches."""
+        each = self.roots.missing_m.shape
+        unfollowed = (self.roots.missing_m.reshape(-1) == 0) & ~fixed_point.followed
+        reasons = _mark_outside(
+            self.arm, fixed_point.output_rad, unfollowed, _find_reasons(self.roots, FREE_SINE)
+        )
+        output = np.where(fixed_point.converged, fixed_point.output_rad, np.nan)
+        torque, error = fixed_point.torque_Nm.copy(), fixed_point.error.copy()
+        if newton is not None:
+            kept = keep_on_side(self.arm, self.tool, self.p, self.a, self.straight, newton)
+            straight = self.straight.reshape(-1)
+            output[:, straight] = np.where(kept.converged, kept.output_rad, np.nan)
+            torque[:, straight], error[straight] = kept.torque_Nm, kept.error
+        output = _drop_twins(output.reshape(5, *each), self.roots)
+        found = _Found(output, torque.reshape(5, *each), error.reshape(each))
+        return _classify(self.arm, found, reasons, self.near_rad)
 
 
 def _find_reasons(roots: Roots, least_distance: float = 0.0) -> _Reasons:

@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import Arm, limit_excess, wrap_into_limits
 from fsw.kinematics.closed_form import Roots, branch_index, closed_form, closed_form_branch, fold_distances
 from fsw.kinematics.statics import ROOT_TOLERANCE, approach_jacobian, evaluate_pose, task_error, task_jacobian
-from fsw.kinematics.transforms import Array, Flags, norm, select_targets
+from fsw.kinematics.transforms import (
+    Array,
+    Flags,
+    concatenate_records,
+    norm,
+    record_arrays,
+    select_targets,
+)
 
 TASK_TOLERANCE: Final = 1e-11
 """Bound of position error [m], axis error [rad] and change of strain at a root."""
@@ -38,7 +45,7 @@ HOPELESS_ERROR: Final = 1e-3
 DAMPING: Final = 1e-12
 """Damping of the least-squares inverse."""
 NEWTON_BLOCK: Final = 8000
-"""Starts per block, to bound the memory; late steps of few starts have a fixed cost per block."""
+"""Starts that are iterated together, to bound the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,43 +67,74 @@ def refine_roots(
 ) -> NewtonRoots:
     """Refine starts by Newton steps until the tool meets its target.
 
-    Every step updates the load, so deflection and angles converge together. A secant correction (Broyden)
-    learns the part of the Jacobian that the load causes. Without it, double roots do not converge.
-
     Args:
         start_rad: Output angles to start from, shape (5, ...); starts that are not finite do not converge.
     """
     batch = start_rad.shape[1:]
     p, a = (np.broadcast_to(_column(v, batch), (3, *batch)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
     start = start_rad.reshape(5, -1)
-    n = start.shape[1]
-    done = NewtonRoots(start.astype(float), np.zeros_like(start), np.full(n, np.inf), np.zeros(n, bool))
-    finite = np.flatnonzero(np.isfinite(start).all(axis=0))
-    for block in np.split(finite, range(NEWTON_BLOCK, finite.size, NEWTON_BLOCK)):
-        _refine_block(_Newton(arm, tool, p, a, gravity_R_m_s2), block, done)
-    values = (done.output_rad, done.torque_Nm, done.error, done.error < ROOT_TOLERANCE)
-    return NewtonRoots(*(v.reshape((*v.shape[:-1], *batch)) for v in values))
+    blocks = [slice(k, k + NEWTON_BLOCK) for k in range(0, max(start.shape[1], 1), NEWTON_BLOCK)]
+    roots = concatenate_records(
+        [_finish(begin_newton(arm, tool, p[:, k], a[:, k], gravity_R_m_s2, start[:, k])) for k in blocks]
+    )
+    return NewtonRoots(*(v.reshape((*v.shape[:-1], *batch)) for v in record_arrays(roots)))
 
 
-def _refine_block(newton: "_Newton", where: NDArray[np.intp], done: NewtonRoots) -> None:
-    """Iterate the starts `where` and write the results into `done`."""
-    if not where.size:
-        return
-    current = newton.begin(done.output_rad.take(where, axis=-1), where)
-    for count in range(2 * PATIENCE):
+def begin_newton(
+    arm: Arm, tool: str, p: Array, a: Array, gravity_R_m_s2: Array, start_rad: Array
+) -> "NewtonSearch | NewtonRoots":
+    """Begin the Newton steps from starts (5, n); without a finite start there is nothing to search."""
+    n = start_rad.shape[1]
+    begun = NewtonRoots(start_rad.astype(float), np.zeros((5, n)), np.full(n, np.inf), np.zeros(n, bool))
+    if not np.isfinite(start_rad).all(axis=0).any():
+        return begun
+    return NewtonSearch(_Newton(arm, tool, p, a, gravity_R_m_s2), None, begun, 0)
+
+
+def _finish(search: "NewtonSearch | NewtonRoots") -> NewtonRoots:
+    while isinstance(search, NewtonSearch):
+        search = search.advance()
+    return search
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NewtonSearch:
+    """Newton iteration under way.
+
+    Every step updates the load, so deflection and angles converge together. A secant correction (Broyden)
+    learns the part of the Jacobian that the load causes. Without it, double roots do not converge.
+    """
+
+    newton: "_Newton"
+    moving: "_Iterate | None"
+    """Starts that have not converged; None before the first step."""
+    roots: NewtonRoots
+    """What was found so far, for all starts."""
+    steps: int
+    """Steps that were taken."""
+
+    def advance(self) -> "NewtonSearch | NewtonRoots":
+        """Take one step from each start that has not converged."""
+        current = self._begin() if self.moving is None else self.moving
         J_inv = damped_inverse(current.J + current.load_J)
         step = -np.einsum("ij...,j...->i...", J_inv, current.residual)
         step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
-        current = newton.take_step(current, step)
+        current = self.newton.take_step(current, step)
         error = current.error()
-        done.output_rad[:, current.where] = current.output_rad
-        done.torque_Nm[:, current.where], done.error[current.where] = current.torque_Nm, error
+        roots = NewtonRoots(*(values.copy() for values in record_arrays(self.roots)))
+        roots.output_rad[:, current.where] = current.output_rad
+        roots.torque_Nm[:, current.where], roots.error[current.where] = current.torque_Nm, error
+        roots.converged[current.where] = error < ROOT_TOLERANCE
         active = (error >= TASK_TOLERANCE) | (np.max(np.abs(step), axis=0) >= STEP_TOLERANCE_RAD)
-        active &= np.isfinite(error) & ((count < PATIENCE) | (error < HOPELESS_ERROR))
-        if not active.any():
-            return
-        if not active.all():
-            current = select_targets(current, active)
+        active &= np.isfinite(error) & ((self.steps < PATIENCE) | (error < HOPELESS_ERROR))
+        if not active.any() or self.steps + 1 == 2 * PATIENCE:
+            return roots
+        moving = current if active.all() else select_targets(current, active)
+        return replace(self, moving=moving, roots=roots, steps=self.steps + 1)
+
+    def _begin(self) -> "_Iterate":
+        finite = np.flatnonzero(np.isfinite(self.roots.output_rad).all(axis=0))
+        return self.newton.begin(self.roots.output_rad.take(finite, axis=-1), finite)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,8 +251,6 @@ LIMIT_MARGIN_RAD: Final = 0.03
 """Excess over the limits up to which a root is followed after the first iteration."""
 NEAR_FOLD: Final = 0.2
 """The same excess for a root this close to a fold [m, sine]: one iteration is less accurate."""
-FIXED_POINT_BLOCK: Final = 6000
-"""Roots per block, to bound the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,59 +285,84 @@ def solve_fixed_point(
         start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
         fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
     """
+    search = begin_fixed_point(arm, tool, p, a, gravity_R_m_s2, start_rad, fold_distance, selected)
+    while isinstance(search, FixedPointSearch):
+        search = search.advance()
+    return search
+
+
+def begin_fixed_point(
+    arm: Arm,
+    tool: str,
+    p: Array,
+    a: Array,
+    gravity_R_m_s2: Array,
+    start_rad: Array,
+    fold_distance: Array,
+    selected: Flags,
+) -> "FixedPointSearch | FixedPointRoots":
+    """Begin what `solve_fixed_point` does; if no root is selected there is nothing to search."""
     n = selected.size
     largest = DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
     tolerance = largest * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2
     roots = FixedPointRoots(
         start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), selected.copy(), np.zeros(n, bool)
     )
-    indices = np.flatnonzero(selected)
-    for block in np.split(indices, range(FIXED_POINT_BLOCK, indices.size, FIXED_POINT_BLOCK)):
-        targets = p.take(block, axis=-1), a.take(block, axis=-1)
-        _solve_block(arm, tool, *targets, gravity_R_m_s2, tolerance[block], block, roots)
-    return replace(roots, converged=roots.error < tolerance)
+    where = np.flatnonzero(selected)
+    if not where.size:
+        return roots
+    return FixedPointSearch(arm, tool, p, a, gravity_R_m_s2, tolerance, roots, where, None, 0)
 
 
-def _solve_block(
-    arm: Arm,
-    tool: str,
-    p: Array,
-    a: Array,
-    gravity: Array,
-    tolerance: Array,
-    where: NDArray[np.intp],
-    roots: FixedPointRoots,
-) -> None:
-    """Iterate the targets `where` until their error is below tolerance; write into `roots`.
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedPointSearch:
+    """Fixed-point iteration under way, with the targets (n,) on the last axis."""
 
-    `take` and `compress` leave the roots next to each other in memory, which an index does not.
-    """
-    q, strain = roots.output_rad.take(where, axis=-1), None
-    for iteration in range(MAX_ITERATIONS):
-        evaluation = evaluate_pose(arm, tool, q, strain, gravity)
-        X_RT, strain = evaluation.X_RT, evaluation.strain
+    arm: Arm
+    tool: str
+    p: Array
+    a: Array
+    gravity_R_m_s2: Array
+    tolerance: Array
+    """Error at which a root has converged, (n,)."""
+    roots: FixedPointRoots
+    """What was found so far, for all targets."""
+    where: NDArray[np.intp]
+    """Indices (k,) of the targets whose roots have not converged."""
+    strain: Array | None
+    """Spring displacements of these, (6, 6, k); None before the first iteration."""
+    iterations: int
+    """Iterations that were done."""
+
+    def advance(self) -> "FixedPointSearch | FixedPointRoots":
+        """Do one iteration of each root that has not converged."""
+        where = self.where
+        q, p, a = (v.take(where, axis=-1) for v in (self.roots.output_rad, self.p, self.a))
+        evaluation = evaluate_pose(self.arm, self.tool, q, self.strain, self.gravity_R_m_s2)
+        X_RT = evaluation.X_RT
         miss = np.concatenate([X_RT.p - p, X_RT.R[:, 0] - a])
         error = np.maximum(np.max(np.abs(miss), axis=0), evaluation.strain_change)
+        roots = FixedPointRoots(*(values.copy() for values in record_arrays(self.roots)))
         roots.torque_Nm[:, where], roots.error[where] = evaluation.torque_Nm, error
-        active = error >= tolerance
+        active = error >= self.tolerance[where]
+        roots.converged[where] = error < self.tolerance[where]
         if not active.any():
-            return
-        if iteration == 0:
+            return roots
+        if self.iterations == 0:
             virtual_p, virtual_a = p - miss[:3], a - miss[3:]
-            q, _ = closed_form_branch(arm.orthogonal[tool], virtual_p, virtual_a / norm(virtual_a), q)
+            s = self.arm.orthogonal[self.tool]
+            q, _ = closed_form_branch(s, virtual_p, virtual_a / norm(virtual_a), q)
         else:
             q = q - damped_solution(approach_jacobian(evaluation.frames, X_RT), miss)
-        if not active.all():
-            where, tolerance = where[active], tolerance[active]
-            p, a, q, strain = (v.compress(active, axis=-1) for v in (p, a, q, strain))
-        roots.output_rad[:, where] = q
-        if iteration == 0:
-            follow = _may_enter_limits(arm, tool, q)
-            roots.followed[where] = follow
-            if not follow.any():
-                return
-            where, tolerance = where[follow], tolerance[follow]
-            p, a, q, strain = (v.compress(follow, axis=-1) for v in (p, a, q, strain))
+        roots.output_rad[:, where[active]] = q[:, active]
+        if self.iterations == 0:
+            follow = _may_enter_limits(self.arm, self.tool, q[:, active])
+            roots.followed[where[active]] = follow
+            active[active] = follow
+        if not active.any() or self.iterations + 1 == MAX_ITERATIONS:
+            return roots
+        strain = evaluation.strain.compress(active, axis=-1)
+        return replace(self, roots=roots, where=where[active], strain=strain, iterations=self.iterations + 1)
 
 
 def _may_enter_limits(arm: Arm, tool: str, q: Array) -> Flags:
@@ -329,21 +390,32 @@ def find_straight(roots: Roots) -> Flags:
     return straight
 
 
-def solve_straight(
+def begin_straight(
     arm: Arm, tool: str, p: Array, a: Array, gravity_R_m_s2: Array, straight: Flags
-) -> NewtonRoots:
-    """Find the roots of the real arm near roots of the orthogonal arm with a nearly straight elbow.
+) -> NewtonSearch | NewtonRoots:
+    """Begin the search of the real arm's roots near roots of the orthogonal arm with a nearly straight elbow.
 
     Args:
         straight: Boolean flags of the roots of the orthogonal arm, shape (8, n).
 
     Returns:
-        The roots in the order of the flags that are true, batch (k,). Only a root on the same side of the
-        folds of shoulder and wrist as its start is one.
+        The search of the roots in the order of the flags that are true, batch (k,).
     """
-    slot, target = np.nonzero(straight)
-    some, own = np.unique(target, return_inverse=True)
-    start = closed_form(arm, tool, p[:, some], a[:, some], BEND).output_rad[:, slot, own]
-    found = refine_roots(arm, tool, p[:, target], a[:, target], gravity_R_m_s2, start)
+    _, target = np.nonzero(straight)
+    start = _bent_starts(arm, tool, p, a, straight)
+    return begin_newton(arm, tool, p[:, target], a[:, target], gravity_R_m_s2, start)
+
+
+def keep_on_side(arm: Arm, tool: str, p: Array, a: Array, straight: Flags, found: NewtonRoots) -> NewtonRoots:
+    """Keep of what `begin_straight` found the roots on the same side of the folds of shoulder and wrist."""
+    start = _bent_starts(arm, tool, p, a, straight)
     before, after = (branch_index(fold_distances(arm.orthogonal[tool], q)) for q in (start, found.output_rad))
     return replace(found, converged=found.converged & ((before ^ after) & ~ELBOW_BIT == 0))
+
+
+def _bent_starts(arm: Arm, tool: str, p: Array, a: Array, straight: Flags) -> Array:
+    """Compute starts (5, k) with a bent elbow, from the convex side of the fold."""
+    slot, target = np.nonzero(straight)
+    some, own = np.unique(target, return_inverse=True)
+    starts: Array = closed_form(arm, tool, p[:, some], a[:, some], BEND).output_rad[:, slot, own]
+    return starts

@@ -20,8 +20,8 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion.paths import Setpoint
-from fsw.motion.plan import Plan, Refusal, estimate_at
-from fsw.motion.preload import PRIOR_RATIO_STD, PreloadChange, PreloadState, plan_preload
+from fsw.motion.plan import Refusal, estimate_at
+from fsw.motion.preload import PRIOR_RATIO_STD, OverdriveSearch, PreloadChange, PreloadState, plan_preload
 
 MIN_CORRECTION_N: Final = 3.0
 """Least correction of a preload that is worth a further path."""
@@ -203,14 +203,14 @@ def plan_correction(
     joints: JointEstimate,
     preload: PreloadState,
     planned_for: PreloadState,
-) -> tuple[Plan, PreloadChange] | Refusal | None:
-    """Plan a further leg of a press.
+) -> OverdriveSearch | Refusal | None:
+    """Begin the plan of a further leg of a press.
 
     The leg starts at the end of the plan: from the estimate, a backlash on which the two differ would be
     crossed to and fro. The wind-up of the gears is that of the corrected force.
 
     Returns:
-        The plan and its change of force, the reason for none, or None if the force is near the target.
+        The work of planning it, the reason for none, or None if the force is near the target.
     """
     if abs(change.target_N - preload.force_N) < MIN_CORRECTION_N:
         return None

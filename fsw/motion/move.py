@@ -1,7 +1,8 @@
 """A move from brake release to brakes on: its record, one cycle of it, a stop, and actuator commands.
 
 A move follows paths, homes a joint, or changes a preload. A guarded move and a preload plan further paths
-while they run: a contact is preloaded, and a preload is corrected by the motor currents.
+while they run: a contact is preloaded, and a preload is corrected by the motor currents. While they plan, the
+motors hold the arm where it is.
 """
 
 from dataclasses import replace
@@ -29,16 +30,19 @@ from fsw.motion.force_fit import (
 )
 from fsw.motion.homing import Homing, advance_homing, homing_limit_A
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Plan, Refusal
+from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
     ESTIMATED_RATIO_STD,
+    PRIOR_RATIO_STD,
     PreloadChange,
     PreloadState,
+    PressPlan,
     holding_force_N,
     model_contact,
     plan_preload,
     preload_limit_A,
 )
+from fsw.motion.work import Work
 
 NO_JOINTS: Final[Flags] = np.zeros(len(Joint), bool)
 ALL_JOINTS: Final[Flags] = ~NO_JOINTS
@@ -52,6 +56,8 @@ class Phase(IntEnum):
     RUN = 1
     SETTLE = 2
     BRAKE = 3
+    PLAN = 4
+    """The next leg of a press is being planned."""
 
 
 @cycle_record
@@ -89,6 +95,8 @@ class Move:
     homing: Homing | None = None
     force_fit: ForceFit | None = None
     """Fit of the motor currents while a preload changes; None once the preload is corrected."""
+    next_leg: Work[PressPlan | Refusal] | None = None
+    """Work of planning the next leg of a press, in PLAN."""
     settled_ticks: int = 0
     """Cycles in a row in which the motors were at rest at their set-points."""
 
@@ -121,6 +129,8 @@ def advance_move(
             if move.plan.preload_change is not None:
                 return _advance_preload(config, move, move.plan.preload_change, joints, load, sensors)
             return _follow_paths(config, move, joints, sensors)
+        case Phase.PLAN:
+            return _plan_leg(config, move, joints)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
@@ -158,6 +168,8 @@ def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
         return replace(
             stopped, plan=replace(plan, paths=(path,), travelled=distance_travelled(move)), ticks=0
         )
+    if move.phase is Phase.PLAN:
+        return _enter_phase(replace(stopped, next_leg=None), Phase.SETTLE)
     return stopped
 
 
@@ -199,7 +211,7 @@ def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Se
 def _press_on_contact(
     config: Config, move: Move, tool: str, joints: JointEstimate, made: ContactMade
 ) -> MoveUpdate:
-    """Stop a guarded move whose tool has touched, and preload the tool just enough to stay in contact.
+    """Stop a guarded move whose tool has touched, and plan to preload it just enough to stay in contact.
 
     A tool that touched before it moved is not preloaded further. If no preload can be planned, the tool stays
     where its switch closed.
@@ -213,19 +225,38 @@ def _press_on_contact(
     touch = model_contact(config, stopped_joints, tool)
     # in one leg, as if the stiffness were known: even on a stiffer arm the holding force stays small
     sure = replace(touch, force_ratio_std=ESTIMATED_RATIO_STD)
-    planned = plan_preload(config, stopped_joints, sure, holding_force_N(config))
+    work = plan_preload(config, stopped_joints, sure, holding_force_N(config))
+    return MoveUpdate(_enter_phase(replace(move, next_leg=work), Phase.PLAN), (made,))
+
+
+def _plan_leg(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
+    """Do the next piece of planning a leg; begin the leg, or settle where the motors are if there is none."""
+    assert move.next_leg is not None  # the phase begins with one
+    planned = move.next_leg.advance(config)
+    if isinstance(planned, Work):
+        return MoveUpdate(replace(move, next_leg=planned, ticks=move.ticks + 1))
+    move = replace(move, next_leg=None)
     if isinstance(planned, Refusal):
-        return settling
-    plan, change = planned
-    pressing = replace(
-        _begin_leg(move, plan, replace(change, start=touch)),
-        current_limit_A=preload_limit_A(config, stopped_joints, change),
-    )
-    return MoveUpdate(pressing, (made,), backlash_rad=plan.backlash_rad)
+        return _end_press(move, planned)
+    pressing = _begin_leg(move, planned)
+    if move.force_fit is None:
+        limit_A = preload_limit_A(config, joints, planned.change)
+        pressing = replace(pressing, current_limit_A=limit_A)
+    return MoveUpdate(pressing, backlash_rad=planned.backlash_rad)
 
 
-def _begin_leg(move: Move, plan: Plan, change: PreloadChange) -> Move:
-    leg = replace(move.plan, paths=plan.paths, preload_change=change, travelled=0.0)
+def _end_press(move: Move, refused: Refusal | None) -> MoveUpdate:
+    """Settle at the present force; report a press whose force is not near its target, and why."""
+    settling, change = _enter_phase(replace(move, force_fit=None), Phase.SETTLE), move.plan.preload_change
+    missed = () if change is None else report_miss(change.target_N, change.start, refused)
+    return MoveUpdate(settling, missed)
+
+
+def _begin_leg(move: Move, planned: PressPlan) -> Move:
+    change = planned.change
+    if move.force_fit is None:  # the leg after a touch was planned as if the stiffness were known
+        change = replace(change, start=replace(change.start, force_ratio_std=PRIOR_RATIO_STD))
+    leg = replace(move.plan, paths=planned.paths, preload_change=change, travelled=0.0)
     return replace(move, plan=leg, phase=Phase.RUN, ticks=0)
 
 
@@ -263,15 +294,12 @@ def _correct_force(
         preload = correct_preload(change, fit.start, ratio)
         evrs = (ForceEstimated(change.start.tool, ratio.along, ratio.across),)
     completed = replace(change, start=preload, end_model_N=preload.model_N)
-    planned = plan_correction(config, change, fit, joints, preload, planned_for)
-    if planned is None or isinstance(planned, Refusal):
-        evrs = (*evrs, *report_miss(change.target_N, preload, planned))
-        return MoveUpdate(
-            replace(move, plan=replace(move.plan, preload_change=completed), force_fit=None), evrs
-        )
-    plan, next_change = planned
-    next_leg = replace(_begin_leg(move, plan, next_change), force_fit=fit.next_leg())
-    return MoveUpdate(next_leg, evrs, backlash_rad=plan.backlash_rad)
+    move = replace(move, plan=replace(move.plan, preload_change=completed))
+    work = plan_correction(config, change, fit, joints, preload, planned_for)
+    if work is None or isinstance(work, Refusal):
+        ended = _end_press(move, work)
+        return replace(ended, evrs=evrs + ended.evrs)
+    return MoveUpdate(_enter_phase(replace(move, next_leg=work, force_fit=fit.next_leg()), Phase.PLAN), evrs)
 
 
 def distance_travelled(move: Move) -> float:

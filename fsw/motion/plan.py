@@ -1,8 +1,10 @@
 """Plans of joint moves and of moves over knots: paths and the positions at their end, or a refusal.
 
-Set-points are shifted by backlash and deflection, and a move ends on a known side of the backlash.
+Set-points are shifted by backlash and deflection, and a move ends on a known side of the backlash. Plans are
+made piece by piece (`work.py`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -12,6 +14,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.commands import BacklashMode, DeflectionMode
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import (
     LIKELY,
     STILL_RAD,
@@ -25,6 +28,7 @@ from fsw.kinematics.arm import describe_outside, limit_excess
 from fsw.kinematics.statics import relative_target, settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path, Travel, joint_path, line_path
+from fsw.motion.work import Work
 
 NO_GRAVITY: Final = np.zeros(3)
 
@@ -129,44 +133,67 @@ def estimate_at(joints: JointEstimate, positions: JointPositions) -> JointEstima
     return replace(joints, motor_rad=positions.motor_rad, gear_rad=gear)
 
 
-def plan_poses(
-    config: Config, joints: JointEstimate, poses: list[Array], compensation: Compensation
-) -> Plan | Refusal:
-    """Plan joint moves through output poses, (5,) each; a refusal if one is beyond the soft limits.
+@cycle_record
+class PosePlan(Work[Plan | Refusal]):
+    """Plan of joint moves through output poses, of which one is planned in each piece of work.
 
     Only the last move ends on a known side of the backlash.
     """
-    paths: list[Path] = []
-    positions = likely_positions(joints)
-    backlash_rad = np.zeros_like(positions.motor_rad)
-    for k, pose in enumerate(poses):
-        if worst_limit_excess(config, pose) > 0:
-            return Refusal(describe_worst_limit(config, pose))
-        equilibrium = settle_output(config.arm, pose, joints.gravity_R_m_s2)
+
+    joints: JointEstimate
+    poses: tuple[Array, ...]
+    """Poses that are left, (5,) each."""
+    compensation: Compensation
+    positions: JointPositions
+    """Positions of the joints at the end of the paths so far."""
+    paths: tuple[Path, ...] = ()
+    only: Joint | None = None
+    """Joint that moves while the other motors stay; None if all move."""
+    branch: str | None = None
+    """Inverse-kinematics branch of the last pose."""
+
+    def advance(self, config: Config) -> "PosePlan | Plan | Refusal":
+        """Plan the move to the next pose; a refusal if that is beyond the soft limits."""
+        pose, *left = self.poses
+        outside = self._find_outside(config, pose)
+        if outside is not None:
+            return Refusal(outside)
+        equilibrium = settle_output(config.arm, pose, self.joints.gravity_R_m_s2)
         if not equilibrium.converged:
             return Refusal(TOO_SOFT)
-        last, load_Nm = k == len(poses) - 1, equilibrium.torque_Nm
-        leg = plan_joint_move(config, joints, positions, pose, load_Nm, compensation, on_known_side=last)
-        paths.extend(leg.paths)
-        positions, backlash_rad = leg.end, leg.backlash_rad
-    return Plan(tuple(paths), positions, backlash_rad)
+        leg = plan_joint_move(
+            config,
+            self.joints,
+            self.positions,
+            pose,
+            equilibrium.torque_Nm,
+            self.compensation,
+            on_known_side=not left,
+            only=self.only,
+        )
+        paths = self.paths + leg.paths
+        if left:
+            return replace(self, poses=tuple(left), positions=leg.end, paths=paths)
+        return replace(leg, paths=paths, branch=self.branch)
+
+    def _find_outside(self, config: Config, pose: Array) -> str | None:
+        excess_rad = limit_excess(config.arm, pose)
+        joint = Joint(int(excess_rad.argmax())) if self.only is None else self.only
+        return describe_outside(config.arm, joint, pose[joint]) if excess_rad[joint] > 0 else None
 
 
-def plan_joint(
-    config: Config, joints: JointEstimate, joint: Joint, angle_rad: float, compensation: Compensation
-) -> Plan | Refusal:
-    """Plan a move of one output to an angle while the other joints stay on their brakes."""
+def plan_poses(
+    joints: JointEstimate, poses: Sequence[Array], compensation: Compensation, branch: str | None = None
+) -> PosePlan:
+    """Begin a plan of joint moves through output poses, (5,) each, the last one on this branch."""
+    return PosePlan(joints, tuple(poses), compensation, likely_positions(joints), branch=branch)
+
+
+def plan_joint(joints: JointEstimate, joint: Joint, angle_rad: float, compensation: Compensation) -> PosePlan:
+    """Begin a plan of a move of one output to an angle while the other joints stay on their brakes."""
     pose = joints.output_rad.copy()
     pose[joint] = angle_rad
-    arm = config.arm
-    if not arm.soft_min_rad[joint] <= angle_rad <= arm.soft_max_rad[joint]:
-        return Refusal(describe_outside(arm, joint, angle_rad))
-    equilibrium = settle_output(arm, pose, joints.gravity_R_m_s2)
-    if not equilibrium.converged:
-        return Refusal(TOO_SOFT)
-    return plan_joint_move(
-        config, joints, likely_positions(joints), pose, equilibrium.torque_Nm, compensation, only=joint
-    )
+    return PosePlan(joints, (pose,), compensation, likely_positions(joints), only=joint)
 
 
 def plan_joint_move(
@@ -255,6 +282,79 @@ def describe_worst_limit(config: Config, output_rad: Array) -> str:
     return describe_outside(config.arm, joint, output_rad[joint])
 
 
+KNOTS: Final = 16
+"""Knots in a piece of work: each takes some 40 us, a joint move between two of them 200 us."""
+
+
+@cycle_record
+class KnotPlan(Work[Plan]):
+    """Plan of paths over equally spaced outputs, from the present positions.
+
+    If a gear crosses its backlash at a knot, a joint move inserted there crosses it while the outputs rest.
+    If the joints are not at the first outputs, a joint move to these comes first.
+    """
+
+    joints: JointEstimate
+    output_rad: Array
+    """Outputs at the knots, (5, k)."""
+    load_Nm: Array
+    """Loads at the knots, (5, k)."""
+    compensation: Compensation
+    travel: Travel
+    """Length of all knots together, and bounds of speed, acceleration and jerk."""
+    gear_rad: Array
+    """Gear angles at the last knot, (5,)."""
+    pending_turn_rad: Array
+    """Turns of the outputs, (5,), that have been too small to drag them."""
+    knots: tuple[Array, ...]
+    """Motor angles, (5,) each, of the knots of the present path."""
+    paths: tuple[Path, ...]
+    done: int = 1
+    """Knots that are done."""
+
+    def advance(self, config: Config) -> "KnotPlan | Plan":
+        """Plan over the next knots."""
+        plan = self
+        for k in range(self.done, min(self.done + KNOTS, self.output_rad.shape[1])):
+            plan = plan._over_knot(config, k)
+        if plan.done < self.output_rad.shape[1]:
+            return plan
+        last = knot_path(config, plan.knots, plan.step, plan.travel)
+        end = JointPositions(plan.knots[-1], plan.gear_rad)
+        backlash_rad = plan.compensation.backlash_allowance(plan.joints, plan.gear_rad)
+        return Plan((*plan.paths, last), end, backlash_rad)
+
+    @property
+    def step(self) -> float:
+        """Return the travel from one knot to the next."""
+        intervals: int = self.output_rad.shape[1] - 1
+        return self.travel.length / intervals
+
+    def _over_knot(self, config: Config, k: int) -> "KnotPlan":
+        joints, knots, paths = self.joints, self.knots, self.paths
+        load_Nm, last_load_Nm = self.load_Nm[:, k], self.load_Nm[:, k - 1]
+        bounds = bound_gear(config, joints.reference.half_backlash_rad, load_Nm)
+        wind_up = (load_Nm - last_load_Nm) / config.arm.gear_stiffness_Nm_rad
+        # steps that are each too small to drag an output add up over many knots
+        turn = self.pending_turn_rad + (self.output_rad[:, k] - self.output_rad[:, k - 1])
+        gear = gear_after_output_turn(self.gear_rad + wind_up, turn, bounds)
+        allowance = self.compensation.allowance(joints, gear)
+        crossed = allowance - self.compensation.allowance(joints, self.gear_rad + wind_up)
+        if np.abs(crossed).max() > STILL_RAD:
+            if len(knots) > 1:
+                paths = (*paths, knot_path(config, knots, self.step, self.travel))
+            paths = (*paths, joint_path(config, knots[-1], knots[-1] - crossed))
+            knots = (knots[-1] - crossed,)
+        return replace(
+            self,
+            gear_rad=gear,
+            pending_turn_rad=np.where(np.abs(turn) > STILL_RAD, 0.0, turn),
+            knots=(*knots, self.output_rad[:, k] - allowance),
+            paths=paths,
+            done=k + 1,
+        )
+
+
 def plan_over_knots(
     config: Config,
     joints: JointEstimate,
@@ -262,44 +362,24 @@ def plan_over_knots(
     load_Nm: Array,
     compensation: Compensation,
     travel: Travel,
-) -> Plan:
-    """Plan paths over equally spaced outputs, from the present positions.
-
-    If a gear crosses its backlash at a knot, a joint move inserted there crosses it while the outputs rest.
-    If the joints are not at the first outputs, a joint move to these comes first.
-
-    Args:
-        travel: Length of all knots together, and bounds of speed, acceleration and jerk.
-    """
-    step = travel.length / (output_rad.shape[1] - 1)
-    stiffness = config.arm.gear_stiffness_Nm_rad
+) -> KnotPlan:
+    """Begin a plan of paths over knots; outputs and loads have shape (5, k)."""
     start = likely_positions(joints)
-    paths: list[Path] = []
-    gear, knots = start.gear_rad, [start.motor_rad]
-    pending_turn = np.zeros_like(start.gear_rad)
-    first = output_rad[:, 0] - compensation.allowance(joints, gear)
-    if np.abs(first - start.motor_rad).max() > STILL_RAD:
-        paths.append(joint_path(config, start.motor_rad, first))
-        knots = [first]
-    for k, turn in enumerate(np.diff(output_rad).T, start=1):
-        bounds = bound_gear(config, joints.reference.half_backlash_rad, load_Nm[:, k])
-        wind_up = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness
-        # steps that are each too small to drag an output add up over many knots
-        pending_turn = pending_turn + turn
-        new_gear = gear_after_output_turn(gear + wind_up, pending_turn, bounds)
-        pending_turn = np.where(np.abs(pending_turn) > STILL_RAD, 0.0, pending_turn)
-        allowance = compensation.allowance(joints, new_gear)
-        crossed = allowance - compensation.allowance(joints, gear + wind_up)
-        if np.abs(crossed).max() > STILL_RAD:
-            if len(knots) > 1:
-                paths.append(_knot_path(config, knots, step, travel))
-            paths.append(joint_path(config, knots[-1], knots[-1] - crossed))
-            knots = [knots[-1] - crossed]
-        gear = new_gear
-        knots.append(output_rad[:, k] - allowance)
-    paths.append(_knot_path(config, knots, step, travel))
-    return Plan(tuple(paths), JointPositions(knots[-1], gear), compensation.backlash_allowance(joints, gear))
+    first = output_rad[:, 0] - compensation.allowance(joints, start.gear_rad)
+    is_there = np.abs(first - start.motor_rad).max() <= STILL_RAD
+    return KnotPlan(
+        joints=joints,
+        output_rad=output_rad,
+        load_Nm=load_Nm,
+        compensation=compensation,
+        travel=travel,
+        gear_rad=start.gear_rad,
+        pending_turn_rad=np.zeros_like(start.gear_rad),
+        knots=(start.motor_rad if is_there else first,),
+        paths=() if is_there else (joint_path(config, start.motor_rad, first),),
+    )
 
 
-def _knot_path(config: Config, knots: list[Array], step: float, travel: Travel) -> Path:
+def knot_path(config: Config, knots: tuple[Array, ...], step: float, travel: Travel) -> Path:
+    """Compute the path over knots, (5,) each, at equal steps of the travel."""
     return line_path(config, np.array(knots), replace(travel, length=step * (len(knots) - 1)))

@@ -3,21 +3,31 @@
 `force_fit.py` corrects it by the motor currents.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import ROOT_TOLERANCE, ToolForce, settle_output, task_error, task_jacobian
+from fsw.kinematics.statics import (
+    ROOT_TOLERANCE,
+    Equilibrium,
+    ToolForce,
+    settle_output,
+    task_error,
+    task_jacobian,
+)
 from fsw.kinematics.transforms import Array
-from fsw.motion.paths import Travel, check_paths
+from fsw.motion.clearance import PathCheck, check_paths
+from fsw.motion.paths import Travel
 from fsw.motion.plan import (
     TOO_SOFT,
     Compensation,
     JointPositions,
+    KnotPlan,
     Plan,
     Refusal,
     describe_worst_limit,
@@ -25,6 +35,7 @@ from fsw.motion.plan import (
     plan_over_knots,
     worst_limit_excess,
 )
+from fsw.motion.work import Work
 
 MAX_NEWTON_STEPS: Final = 20
 ROUNDING_N: Final = 1e-6
@@ -146,45 +157,126 @@ def locate_by_resolvers(joints: JointEstimate, preload: PreloadState) -> JointEs
     return estimate_at(joints, JointPositions(joints.motor_rad, gear))
 
 
-def plan_preload(
-    config: Config, joints: JointEstimate, preload: PreloadState, force_N: float
-) -> tuple[Plan, PreloadChange] | Refusal:
-    """Plan the overdrive from one force to another at a constant pose of the tool.
+@dataclass(frozen=True, slots=True, eq=False)
+class PressPlan(Plan):
+    """Plan of a leg of a press."""
+
+    change: PreloadChange = field(kw_only=True)
+
+
+@cycle_record
+class OverdriveSearch(Work[PressPlan | Refusal]):
+    """Search of the outputs that keep the tool at its contact pose under forces; the plan of a leg follows.
 
     Each knot compensates the deflection of the arm in position and direction, so the tool does not need
-    friction to stay in place. While the stiffness of the arm is not known, plan and change of force end short
-    of the commanded force.
+    friction to stay in place.
     """
-    params = config.params.preload
-    end_N = _first_force_N(preload, force_N) / preload.force_ratio
-    change_N = abs(end_N - preload.model_N)
-    forces = np.linspace(preload.model_N, end_N, int(np.ceil(change_N / params.step_N)) + 1)
-    output = _solve_outputs(config, joints, preload, forces)
-    if output is None:
-        return Refusal(f"no overdrive found from {preload.force_N:.1f} to {force_N:.1f} N")
-    excess = worst_limit_excess(config, output)
-    if np.any(excess > 0):
-        k = int(np.argmax(excess > 0))
-        return Refusal(
-            f"at {preload.force_ratio * forces[k]:.1f} N, {describe_worst_limit(config, output[:, k])}"
+
+    joints: JointEstimate
+    preload: PreloadState
+    target_N: float
+    """Commanded force."""
+    model_N: Array
+    """Forces at the knots of this leg in newtons of the model, (k,)."""
+    output_rad: Array
+    """Outputs at the knots, (5, k)."""
+    steps: int = 0
+    """Newton steps that were taken."""
+    pushed: Equilibrium | None = None
+    """Equilibrium at the knots; None until the outputs are found."""
+
+    def advance(self, config: Config) -> "OverdriveSearch | LegPlan | Refusal":
+        """Take a Newton step; after the last one, begin the plan over the knots."""
+        if self.pushed is not None:
+            return self._plan(config, self.pushed)
+        arm, preload, output = config.arm, self.preload, self.output_rad
+        p, axis = preload.p_RoTo_R_m[:, None], preload.axis_R[:, None]
+        push = preload.reaction_at(self.model_N)
+        pushed = settle_output(arm, output, self.joints.gravity_R_m_s2, push)
+        X_RT = tool_pose(arm, pushed.frames, preload.tool)
+        error = task_error(X_RT, p, axis)
+        if np.abs(error).max() < ROOT_TOLERANCE:
+            return replace(self, pushed=pushed)
+        if self.steps + 1 == MAX_NEWTON_STEPS:
+            return Refusal(f"no overdrive found from {preload.force_N:.1f} to {self.target_N:.1f} N")
+        J = np.moveaxis(task_jacobian(pushed.frames, X_RT, axis), -1, 0)
+        # the pseudo-inverse exists at a singularity too
+        output = output - (np.linalg.pinv(J) @ np.moveaxis(error, -1, 0)[..., None])[..., 0].T
+        return replace(self, output_rad=output, steps=self.steps + 1)
+
+    def _plan(self, config: Config, pushed: Equilibrium) -> "LegPlan | Refusal":
+        output, model_N, preload = self.output_rad, self.model_N, self.preload
+        excess = worst_limit_excess(config, output)
+        if np.any(excess > 0):
+            k = int(np.argmax(excess > 0))
+            force_N = preload.force_ratio * model_N[k]
+            return Refusal(f"at {force_N:.1f} N, {describe_worst_limit(config, output[:, k])}")
+        gravity, reaction = self.joints.gravity_R_m_s2, preload.reaction_at(preload.force_ratio * model_N)
+        carried = settle_output(config.arm, output, gravity, reaction)
+        if not (np.all(pushed.converged) and np.all(carried.converged)):
+            return Refusal(TOO_SOFT)
+        params, load_Nm = config.params.preload, pushed.torque_Nm
+        change_N = float(model_N[-1] - model_N[0])
+        travel = Travel(
+            abs(change_N), params.rate_N_s, params.rate_N_s / RAMP_S, 2 * params.rate_N_s / RAMP_S**2
         )
-    pushed = settle_output(config.arm, output, joints.gravity_R_m_s2, preload.reaction_at(forces))
-    carried = settle_output(
-        config.arm, output, joints.gravity_R_m_s2, preload.reaction_at(preload.force_ratio * forces)
-    )
-    if not (np.all(pushed.converged) and np.all(carried.converged)):
-        return Refusal(TOO_SOFT)
-    load_Nm, carried_Nm = pushed.torque_Nm, carried.torque_Nm
-    travel = Travel(change_N, params.rate_N_s, params.rate_N_s / RAMP_S, 2 * params.rate_N_s / RAMP_S**2)
-    # outputs cross their backlash under the estimated force; wind-up beyond that is overdrive
-    overdriven = output - (load_Nm - carried_Nm) / config.arm.gear_stiffness_Nm_rad[:, None]
-    plan = plan_over_knots(config, joints, overdriven, carried_Nm, Compensation(), travel)
-    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, preload.tool)
-    if collision is not None:
-        return Refusal(collision)
-    per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - preload.model_N)
-    free_Nm = load_Nm[:, 0] - per_N * preload.model_N
-    return plan, PreloadChange(preload, end_N, force_N, per_N, free_Nm, plan.end)
+        # outputs cross their backlash under the estimated force; wind-up beyond that is overdrive
+        wind_up = (load_Nm - carried.torque_Nm) / config.arm.gear_stiffness_Nm_rad[:, None]
+        knots = plan_over_knots(
+            config, self.joints, output - wind_up, carried.torque_Nm, Compensation(), travel
+        )
+        per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / change_N
+        free_Nm = load_Nm[:, 0] - per_N * preload.model_N
+        return LegPlan(self.joints, preload, float(model_N[-1]), self.target_N, per_N, free_Nm, knots)
+
+
+@cycle_record
+class LegPlan(Work[PressPlan | Refusal]):
+    """Plan of a leg of a press over its knots, and the check of its paths."""
+
+    joints: JointEstimate
+    preload: PreloadState
+    end_N: float
+    """Overdrive at the end of the leg, in newtons of the model."""
+    target_N: float
+    torque_per_N: Array
+    free_Nm: Array
+    knots: KnotPlan | Plan
+    check: PathCheck | None = None
+    """Check of the paths of the plan; None before there is one."""
+
+    def advance(self, config: Config) -> "LegPlan | PressPlan | Refusal":
+        """Plan over the next knots, then check the paths."""
+        plan = self.knots
+        if isinstance(plan, KnotPlan):
+            plan = plan.advance(config)
+            return replace(self, knots=plan)
+        if self.check is None:
+            padding_m = config.params.collision.padding_m
+            return replace(self, check=check_paths(self.joints, plan.paths, padding_m, self.preload.tool))
+        check = self.check.advance(config)
+        if isinstance(check, PathCheck):
+            return replace(self, check=check)
+        if check is not None:
+            return Refusal(check)
+        change = PreloadChange(
+            self.preload, self.end_N, self.target_N, self.torque_per_N, self.free_Nm, plan.end
+        )
+        return PressPlan(plan.paths, plan.end, plan.backlash_rad, change=change)
+
+
+def plan_preload(
+    config: Config, joints: JointEstimate, preload: PreloadState, force_N: float
+) -> OverdriveSearch:
+    """Begin the plan of the overdrive from one force to another at a constant pose of the tool.
+
+    While the stiffness of the arm is not known, the leg ends short of the commanded force.
+    """
+    end_N = _first_force_N(preload, force_N) / preload.force_ratio
+    intervals = int(np.ceil(abs(end_N - preload.model_N) / config.params.preload.step_N))
+    model_N = np.linspace(preload.model_N, end_N, intervals + 1)
+    output = np.tile(joints.output_rad[:, None], model_N.size)
+    return OverdriveSearch(joints, preload, force_N, model_N, output)
 
 
 def _first_force_N(preload: PreloadState, force_N: float) -> float:
@@ -203,22 +295,3 @@ def preload_limit_A(config: Config, joints: JointEstimate, change: PreloadChange
     torque = carried_Nm + FRICTION_FACTOR * joints.reference.friction_Nm
     limit: Array = np.minimum(torque / config.torque_constant_Nm_A, config.current_limit_A)
     return limit
-
-
-def _solve_outputs(
-    config: Config, joints: JointEstimate, preload: PreloadState, forces: Array
-) -> Array | None:
-    """Find outputs (5, k) that keep the tool at its contact pose under forces (k,), or None."""
-    arm, push, tool = config.arm, preload.reaction_at(forces), preload.tool
-    p, axis = preload.p_RoTo_R_m[:, None], preload.axis_R[:, None]
-    output = np.tile(joints.output_rad[:, None], forces.size)
-    for _ in range(MAX_NEWTON_STEPS):
-        equilibrium = settle_output(arm, output, joints.gravity_R_m_s2, push)
-        X_RT = tool_pose(arm, equilibrium.frames, tool)
-        error = task_error(X_RT, p, axis)
-        if np.abs(error).max() < ROOT_TOLERANCE:
-            return output
-        J = np.moveaxis(task_jacobian(equilibrium.frames, X_RT, axis), -1, 0)
-        # the pseudo-inverse exists at a singularity too
-        output = output - (np.linalg.pinv(J) @ np.moveaxis(error, -1, 0)[..., None])[..., 0].T
-    return None

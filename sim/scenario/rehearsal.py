@@ -18,10 +18,6 @@ from fsw.dictionary.commands import (
     Dock,
     GuardedMove,
     PlaceTool,
-    Preload,
-    SetParam,
-    SetTilt,
-    Stop,
     Stow,
     ToolChange,
 )
@@ -32,9 +28,11 @@ from fsw.dictionary.types import vector3
 from fsw.executive.commands import handle
 from fsw.executive.context import EVENT_OF, TRANSITIONS, CommandContext, ModeEvent, check_mode
 from fsw.executive.expansion import CompoundCommand, locate_surface
-from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
+from fsw.executive.planning import MotionCommand, PlannedSequence, Start, plan_command
 from fsw.kinematics.transforms import normalize
 from fsw.motion.plan import Refusal
+from fsw.motion.preload import PressPlan
+from fsw.motion.work import complete
 from fsw.state import Hold, State, boot
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N
@@ -43,8 +41,6 @@ from sim.scenario.data import Scenario, TaughtPoint
 from sim.scenario.records import upper_snake
 from sim.setting import Surface
 from sim.world import params_in_world
-
-MotionCommand = CompoundCommand | SingleMoveCommand
 
 
 def find_impossible(scenario: Scenario, arm: BuiltArm) -> str | None:
@@ -80,16 +76,21 @@ def _rehearse(config: Config, state: State, command: Command, surface: Surface |
     refused = next((evr for evr in begun.evrs if isinstance(evr, CommandRefused)), None)
     if refused is not None:
         return Refusal(refused.reason)
-    match command:
-        case Stop() | SetTilt() | SetParam() | ClearFault():
-            return begun.state
-        case Preload():
-            press, move = begun.state.preload, begun.state.move
-            mode = begun.state.mode if move is None else move.plan.end_mode
-            pressed = press and replace(press, model_N=command.force_N)
-            return replace(state, mode=mode, preload=pressed)
-        case _:
-            return _end_motion(config, state, _end_on_surface(command, surface))
+    planning = begun.state.planning
+    if planning is None:
+        return begun.state
+    planned: PlannedSequence | PressPlan | Refusal = complete(config, planning.work)
+    if isinstance(planned, Refusal):
+        return planned
+    if isinstance(planned, PressPlan):
+        done = ModeEvent.DONE_RELEASED if planned.change.target_N == 0 else ModeEvent.DONE
+        pressed = replace(planned.change.start, model_N=planned.change.target_N)
+        return replace(state, mode=TRANSITIONS[Mode.PRELOAD, done], preload=pressed)
+    assert isinstance(command, MotionCommand)  # a press is the only other command that is planned
+    on_surface = _end_on_surface(command, surface)
+    if on_surface is not command:
+        planned = _plan_again(config, state, on_surface)
+    return planned if isinstance(planned, Refusal) else _end_motion(state, command, planned)
 
 
 def _end_homing(config: Config, state: State, command: Calibrate | CalibrateAll) -> State:
@@ -105,22 +106,20 @@ def _end_homing(config: Config, state: State, command: Calibrate | CalibrateAll)
     return replace(state, joints=replace(joints, reference=reference))
 
 
-def _end_motion(config: Config, state: State, command: MotionCommand) -> State | Refusal:
-    """Plan a motion, and return the state at its end."""
+def _plan_again(config: Config, state: State, command: MotionCommand) -> PlannedSequence | Refusal:
+    """Plan a motion that ends on the surface."""
     surface = locate_surface(config, state.joints, state.tool, command, state.surface)
-    if isinstance(command, CompoundCommand):
-        planned = plan_sequence(config, state.joints, state.tool, command, surface)
-    else:
-        planned = plan_steps(config, state.joints, state.tool, (command,), surface)
-    if isinstance(planned, Refusal):
-        return planned
-    mode = state.mode
-    for step in planned.commands:
+    return complete(config, plan_command(Start(state.joints, state.tool, surface), command))
+
+
+def _end_motion(state: State, command: MotionCommand, planned: PlannedSequence) -> State:
+    """Return the state at the end of a motion."""
+    mode, end = state.mode, planned.end
+    for step in planned.commands if isinstance(command, CompoundCommand) else (command,):
         begin = ModeEvent.MOVE_FREE if isinstance(step, Hold) else EVENT_OF[type(step)]
         done = ModeEvent.DONE_STOWED if isinstance(step, Stow) else ModeEvent.DONE
         mode = TRANSITIONS[TRANSITIONS[mode, begin], done]
-    tool, joints, surface = planned.tool, planned.joints, planned.surface
-    return replace(state, mode=mode, tool=tool, joints=joints, surface=surface, preload=None)
+    return replace(state, mode=mode, tool=end.tool, joints=end.joints, surface=end.surface, preload=None)
 
 
 def _end_on_surface(command: MotionCommand, surface: Surface | None) -> MotionCommand:

@@ -8,19 +8,23 @@ from functools import cache, lru_cache, wraps
 
 import numpy as np
 
-from fsw.collision.distance import compute_clearances, judge_clearances
+from fsw.collision.distance import begin_clearance, compute_clearances, describe_violation, follow_clearance
 from fsw.config import Config, configure
 from fsw.cycle import step
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Evr
 from fsw.estimate.gear import LIKELY
+from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import no_reference
+from fsw.executive.planning import Start, plan_command
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
+from fsw.motion.plan import Refusal
+from fsw.motion.work import Work, complete
 from fsw.state import State, boot
 from sim.arms import arm_named
 
@@ -190,9 +194,19 @@ class Rig:
             self.cycle()
         raise AssertionError(f"not there after {at_most} cycles")
 
+    def begin(self, *commands: Command, at_most: int = 2000, **readings) -> tuple[Evr, ...]:
+        """From a command to the end of its planning; the EVRs from the command on."""
+        first = len(self.evrs)
+        self.cycle(*commands, **readings)
+        for _ in range(at_most):
+            if self.state.planning is None:
+                return tuple(self.evrs[first:])
+            self.cycle(**readings)
+        raise AssertionError(f"still planning after {at_most} cycles")
+
     def until_moving(self, *commands: Command, cycles: int = 40) -> Outputs:
         """Into the middle of a move."""
-        self.cycle(*commands)
+        self.begin(*commands)
         for _ in range(cycles):
             self.cycle()
         assert np.any(self.outputs.drive.setpoint_rate_rad_s != 0)
@@ -240,5 +254,17 @@ def floats(values) -> tuple:
 
 def find_violation(geometry, frames, padding_m, touching=None, surface=None):
     """Find the first pose of a path at which a part of the arm is too close to an obstacle."""
-    clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
-    return judge_clearances(geometry, clearance, padding_m, touching)
+    near_m = compute_clearances(geometry, frames, padding_m, touching, surface).near_m
+    begun = begin_clearance(near_m[..., 0], padding_m, touching)
+    return describe_violation(geometry, follow_clearance(begun, near_m))
+
+
+def planned(config: Config, work):
+    """The plan, or the reason for none."""
+    return complete(config, work) if isinstance(work, Work) else work
+
+
+def plan_of(config: Config, joints: JointEstimate, command, tool: str = "apxs", surface=None):
+    """The plan of the last move of a command, or the reason for none."""
+    found = complete(config, plan_command(Start(joints, tool, surface), command))
+    return found if isinstance(found, Refusal) else found.plans[-1]

@@ -9,7 +9,7 @@ import fsw
 
 ROOT = Path(fsw.__file__).parent
 ALLOWED = {
-    *("collections.abc", "dataclasses", "enum", "fsw", "functools", "hashlib", "itertools"),
+    *("abc", "collections.abc", "dataclasses", "enum", "fsw", "functools", "hashlib", "itertools"),
     *("math", "numpy", "operator", "ruckig", "types", "typing"),
 }
 FORBIDDEN_CALLS = {"open", "print", "input", "exec", "eval", "compile", "__import__", "globals", "breakpoint"}

@@ -93,7 +93,7 @@ def compared():
     at_rest = settle_poses(poses)
     same = collides_only(CONFIG.params)
     ours, alike = (
-        compute_clearances(geometry, at_rest.frames, FAR_M)[:, :SURFACE]
+        compute_clearances(geometry, at_rest.frames, FAR_M).near_m[:, :SURFACE]
         for geometry in (GEOMETRY, same.collision_geometry)
     )
     return ours, alike, mujoco_clearances(poses, at_rest.strain)
@@ -140,8 +140,8 @@ def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
 
 def test_distances_beyond_what_is_asked_for_are_left_out_and_the_others_are_the_same():
     frames = settle_poses(in_limits(CONFIG, np.random.default_rng(32), 100)).frames
-    everything = compute_clearances(GEOMETRY, frames, FAR_M)
-    near = compute_clearances(GEOMETRY, frames, 0.05)
+    everything = compute_clearances(GEOMETRY, frames, FAR_M).near_m
+    near = compute_clearances(GEOMETRY, frames, 0.05).near_m
     np.testing.assert_array_equal(near, np.where(everything <= 0.05, everything, np.inf))
 
 
@@ -149,7 +149,8 @@ def test_the_height_above_ground_follows_the_parameter():
     frames = settle_poses(in_limits(CONFIG, np.random.default_rng(33), 20)).frames
     lower = configure(replace(CONFIG.params, collision=replace(SHAPES, ground_z_m=SHAPES.ground_z_m + 0.2)))
     here, there = (
-        compute_clearances(config.collision_geometry, frames, FAR_M)[:, GROUND] for config in (CONFIG, lower)
+        compute_clearances(config.collision_geometry, frames, FAR_M).near_m[:, GROUND]
+        for config in (CONFIG, lower)
     )
     np.testing.assert_allclose(there, here + 0.2, atol=1e-12)
 
@@ -165,7 +166,7 @@ def test_a_way_into_the_ground_is_refused_with_part_obstacle_and_distance():
     frames = lowered_onto_the_ground()
     close = find_violation(GEOMETRY, frames, PADDING_M)
     assert close.obstacle == "ground"
-    apart = compute_clearances(GEOMETRY, frames, FAR_M)
+    apart = compute_clearances(GEOMETRY, frames, FAR_M).near_m
     assert apart[..., : close.first].min() >= PADDING_M
     assert apart[..., close.first].min() < PADDING_M
     assert close.distance_m == apart[PARTS.index(close.part), GROUND].min()
@@ -173,7 +174,7 @@ def test_a_way_into_the_ground_is_refused_with_part_obstacle_and_distance():
 
 
 def test_what_does_not_meet_is_refused_by_how_close_it_comes():
-    height = compute_clearances(GEOMETRY, lowered_onto_the_ground(), FAR_M)[:, GROUND].min(axis=0)
+    height = compute_clearances(GEOMETRY, lowered_onto_the_ground(), FAR_M).near_m[:, GROUND].min(axis=0)
     few = int(np.flatnonzero(height < PADDING_M)[0]) + 1
     frames = lowered_onto_the_ground()
     until = type(frames)(frames.X_RL[:, :few], frames.X_LD, frames.X_RF[:, :few])
@@ -187,9 +188,9 @@ def test_what_does_not_meet_is_refused_by_how_close_it_comes():
 
 def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_may():
     frames = lowered_onto_the_ground()
-    everything = compute_clearances(GEOMETRY, frames, FAR_M)
+    everything = compute_clearances(GEOMETRY, frames, FAR_M).near_m
     for tool in TOOLS:
-        apart = compute_clearances(GEOMETRY, frames, FAR_M, touching=tool)
+        apart = compute_clearances(GEOMETRY, frames, FAR_M, touching=tool).near_m
         exempt = PARTS.index(tool)
         assert np.isinf(apart[exempt]).all()
         others = np.arange(len(PARTS)) != exempt
@@ -198,7 +199,7 @@ def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_
 
 def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
     frames = lowered_onto_the_ground(steps=200)
-    height = compute_clearances(GEOMETRY, frames, FAR_M)[:, GROUND].min(axis=0)
+    height = compute_clearances(GEOMETRY, frames, FAR_M).near_m[:, GROUND].min(axis=0)
     inside = np.flatnonzero((height > 0) & (height < PADDING_M))
     assert inside.size >= 2
     k = int(inside[0])
@@ -213,7 +214,9 @@ def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
 
 def test_to_be_close_to_one_thing_gives_no_leave_to_come_close_to_another():
     """The path starts with a tool within the padding above the ground, and ends at the mast."""
-    height = compute_clearances(GEOMETRY, lowered_onto_the_ground(steps=200), FAR_M)[:, GROUND].min(axis=0)
+    height = (
+        compute_clearances(GEOMETRY, lowered_onto_the_ground(steps=200), FAR_M).near_m[:, GROUND].min(axis=0)
+    )
     k = int(np.flatnonzero((height > 0) & (height < PADDING_M))[0])
     start = READY + np.array([0.0, 0.6 * k / 199, 0.0, 0.0, 0.0])
     way = np.column_stack([start, READY, pose_that_meets("mast")])
@@ -225,7 +228,7 @@ def pose_that_meets(obstacle):
     """Find a random pose within the limits that collides with this obstacle and no other."""
     poses = in_limits(CONFIG, np.random.default_rng(35), 20_000)
     for some in np.split(poses, 20, axis=1):
-        met = (compute_clearances(GEOMETRY, forward(CONFIG.arm, some), 0.0) <= 0).any(axis=0)
+        met = (compute_clearances(GEOMETRY, forward(CONFIG.arm, some), 0.0).near_m <= 0).any(axis=0)
         only = met[OBSTACLES.index(obstacle)] & (met.sum(axis=0) == 1)
         if only.any():
             return some[:, only.argmax()]
@@ -257,15 +260,15 @@ def random_surfaces(seed, count):
 
 
 def heights(frames, surface):
-    return compute_clearances(GEOMETRY, frames, FAR_M, surface=surface)[:, SURFACE]
+    return compute_clearances(GEOMETRY, frames, FAR_M, surface=surface).near_m[:, SURFACE]
 
 
 def test_level_ground_as_a_surface_has_the_distances_of_the_ground_to_the_last_bit():
     frames = forward(CONFIG.arm, in_limits(CONFIG, np.random.default_rng(1), 200))
     ground = TargetSurface(np.array([0.0, 0.0, GEOMETRY.ground_z_m]), UP)
-    clearance = compute_clearances(GEOMETRY, frames, FAR_M, surface=ground)
+    clearance = compute_clearances(GEOMETRY, frames, FAR_M, surface=ground).near_m
     np.testing.assert_array_equal(clearance[COUNTED, SURFACE], clearance[COUNTED, GROUND])
-    assert np.isinf(compute_clearances(GEOMETRY, AT_READY, FAR_M)[:, SURFACE]).all()
+    assert np.isinf(compute_clearances(GEOMETRY, AT_READY, FAR_M).near_m[:, SURFACE]).all()
 
 
 def test_what_is_clear_of_a_surface_is_clear_of_a_plane_in_mujoco():

@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.dictionary import commands
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandRefused
+from fsw.dictionary.evrs import CommandRefused, ModeChanged
 from fsw.dictionary.params import TeachPoint
 from fsw.motion.force_fit import MIN_CORRECTION_N
 from tests.fsw.rig import Rig, config_of, facing, floats, made_once, with_params
@@ -44,6 +44,13 @@ def uncalibrated():
 @made_once
 def deployed():
     return Rig(CONFIG, start_rad=START)
+
+
+@made_once
+def planning():
+    rig = deployed()
+    rig.cycle(commands.MoveJoints(floats(START + 0.05)))
+    return rig
 
 
 @made_once
@@ -99,7 +106,7 @@ def faulted():
 @made_once
 def preloading():
     rig = guarded_in_contact()
-    rig.cycle(commands.Preload("apxs", 50.0), **TOUCHED)
+    rig.begin(commands.Preload("apxs", 50.0), **TOUCHED)
     while rig.state.preload.force_N < 10.0:
         rig.cycle(**TOUCHED)
     return rig
@@ -114,7 +121,7 @@ def preloaded():
 
 
 RIGS = [
-    stowed, uncalibrated, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
+    stowed, uncalibrated, deployed, planning, moving_free, guarded_moving, guarded_in_contact, retracting,
     calibrating, preloading, preloaded, being_stopped_by_a_fault, faulted,
 ]  # fmt: skip
 TOUCHING = (guarded_in_contact, preloading, preloaded)
@@ -154,9 +161,7 @@ COMMANDS = {
 def refusal(rig: Rig, command: commands.Command) -> str:
     """Return the reason for which a command is refused, and check that it changes nothing."""
     before = rig.state
-    rig.evrs.clear()
-    rig.cycle(command)
-    (evr,) = rig.evrs
+    (evr,) = (evr for evr in rig.begin(command) if not isinstance(evr, ModeChanged))
     assert isinstance(evr, CommandRefused)
     assert evr.command == type(command).__name__
     assert rig.state.mode is before.mode

@@ -42,7 +42,7 @@ NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its
 
 def test_a_tool_move_says_which_branch_it_takes():
     rig = lab.deployed()
-    rig.cycle(rig.here("apxs", 0.01))
+    rig.begin(rig.here("apxs", 0.01))
     chosen = [evr for evr in rig.evrs if isinstance(evr, BranchChosen)]
     assert [evr.tool for evr in chosen] == ["apxs"]
     assert chosen[0].branch in BRANCHES
@@ -61,7 +61,11 @@ def test_unstow_leads_past_the_way_points_to_the_ready_pose_and_stow_leads_back(
     held_rad = 2 * config.output_friction_Nm / config.arm.gear_stiffness_Nm_rad + 1e-5
     assert (np.abs(rig.state.joints.output_rad - poses.ready_rad) < held_rad).all()
     modes = [(evr.before, evr.after) for evr in evrs if isinstance(evr, ModeChanged)]
-    assert modes == [(Mode.STOWED, Mode.FREE_SPACE), (Mode.FREE_SPACE, Mode.DEPLOYED)]
+    assert modes == [
+        (Mode.STOWED, Mode.PLANNING),
+        (Mode.PLANNING, Mode.FREE_SPACE),
+        (Mode.FREE_SPACE, Mode.DEPLOYED),
+    ]
     assert CommandCompleted("Stow") in rig.run(Stow())
     assert rig.state.mode is Mode.STOWED
     np.testing.assert_allclose(rig.state.joints.output_rad, poses.stowed_rad, atol=1e-4)
@@ -91,7 +95,7 @@ def test_a_joint_is_not_calibrated_from_when_it_begins_to_look_for_its_hardstop_
     assert lab.refusal(rig, MoveJoints(floats(lab.START))) == missing
     assert lab.refusal(rig, MoveJoint(joint, float(lab.START[joint]))) == missing
     other = Joint((joint + 1) % 5)
-    rig.cycle(MoveJoint(other, float(lab.START[other]) + 0.01))
+    rig.begin(MoveJoint(other, float(lab.START[other]) + 0.01))
     assert CommandAccepted("MoveJoint") in rig.evrs
 
 
@@ -290,17 +294,17 @@ def test_a_step_that_is_refused_when_its_turn_comes_aborts_its_sequence():
 
 def test_only_the_first_of_two_moves_in_one_cycle_begins():
     rig = lab.deployed()
-    rig.cycle(MoveJoints(floats(lab.START + 0.05)), Retract("apxs", 0.1))
+    rig.begin(MoveJoints(floats(lab.START + 0.05)), Retract("apxs", 0.1))
     assert CommandAccepted("MoveJoints") in rig.evrs
-    assert CommandRefused("Retract", "MoveJoints is under way") in rig.evrs
+    assert CommandRefused("Retract", "MoveJoints is being planned") in rig.evrs
 
 
 def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
     rig = lab.stowed()
-    rig.cycle(Unstow())
+    rig.begin(Unstow())
     rig.run(Stop(), at_most=200)
     assert rig.state.mode is Mode.STOWED
-    rig.cycle(Unstow())
+    rig.begin(Unstow())
     assert CommandAccepted("Unstow") in rig.evrs
 
 
@@ -313,5 +317,5 @@ def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract
     assert (rig.state.mode, rig.state.tool) == (Mode.GUARDED, "apxs")
     for command in (Preload("drill", 100.0), Retract("drill", 0.05)):
         assert lab.refusal(rig, command) == "apxs is the tool that may touch; retract it first"
-    rig.cycle(Retract("apxs", 0.02), **lab.TOUCHED)
+    rig.begin(Retract("apxs", 0.02), **lab.TOUCHED)
     assert CommandAccepted("Retract") in rig.evrs

@@ -67,6 +67,9 @@ REFUSED = {
         ToolChange: "drill touches nothing: there is no spot to go back to",
         ClearFault: "no fault stands",
     },
+    lab.planning: {
+        kind: reason.replace("under way", "being planned") for kind, reason in under_way("MoveJoints").items()
+    },
     lab.moving_free: under_way("MoveJoints"),
     lab.guarded_moving: under_way("GuardedMove"),
     lab.guarded_in_contact: in_mode("GUARDED", GuardedMove, Retract, Preload, ToolChange, Dock)
@@ -93,8 +96,8 @@ def test_the_table_speaks_of_every_mode_and_every_command():
 def test_every_command_in_every_situation(make_rig, kind):
     rig = make_rig()
     before, name = rig.state, kind.__name__
-    rig.cycle(COMMANDS[kind](rig), **(TOUCHED if make_rig in TOUCHING else {}))
-    reason = REFUSED[make_rig].get(kind)
+    reason, readings = REFUSED[make_rig].get(kind), TOUCHED if make_rig in TOUCHING else {}
+    (rig.cycle if reason else rig.begin)(COMMANDS[kind](rig), **readings)
     refused = [evr for evr in rig.evrs if isinstance(evr, evrs.CommandRefused)]
     if reason:
         assert refused == [evrs.CommandRefused(name, reason)]
@@ -112,17 +115,18 @@ def test_every_command_in_every_situation(make_rig, kind):
 
 
 NO = None
-STOW, DEPL, FREE, GUARD, BACK, FAULT, PRESS = Mode
-# columns in the order of ModeEvent: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT,
-# CLEAR, CLEAR_STOWED, CLEAR_TOUCHING, STOP, STOP_STOWED, DONE_STOWED, PRESS, DONE_RELEASED, CLEAR_PRESSED
+STOW, DEPL, FREE, GUARD, BACK, FAULT, PRESS, PLAN = Mode
+# columns in the order of ModeEvent: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT, CLEAR,
+# CLEAR_STOWED, CLEAR_TOUCHING, STOP, STOP_STOWED, DONE_STOWED, PRESS, DONE_RELEASED, CLEAR_PRESSED, PLAN
 TABLE = {
-    Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO),
-    Mode.DEPLOYED: (NO, FREE, GUARD, BACK, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO),
-    Mode.FREE_SPACE: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, DEPL, STOW, STOW, NO, NO, NO),
-    Mode.GUARDED: (NO, NO, GUARD, BACK, GUARD, FAULT, NO, NO, NO, GUARD, NO, NO, PRESS, NO, NO),
-    Mode.RETRACTING: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, GUARD, NO, NO, NO, NO, NO),
-    Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO, NO, NO, NO, PRESS),
-    Mode.PRELOAD: (NO, NO, NO, NO, PRESS, FAULT, NO, NO, NO, PRESS, NO, NO, PRESS, GUARD, NO),
+    Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO, PLAN),
+    Mode.DEPLOYED: (NO, FREE, GUARD, BACK, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO, PLAN),
+    Mode.FREE_SPACE: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, DEPL, STOW, STOW, NO, NO, NO, NO),
+    Mode.GUARDED: (NO, NO, GUARD, BACK, GUARD, FAULT, NO, NO, NO, GUARD, NO, NO, PRESS, NO, NO, PLAN),
+    Mode.RETRACTING: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, GUARD, NO, NO, NO, NO, NO, NO),
+    Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO, NO, NO, NO, PRESS, NO),
+    Mode.PRELOAD: (NO, NO, NO, NO, PRESS, FAULT, NO, NO, NO, PRESS, NO, NO, PRESS, GUARD, NO, PLAN),
+    Mode.PLANNING: (NO, NO, NO, NO, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO, NO),
 }
 
 
@@ -143,7 +147,7 @@ def respond(rig, before, *found):
 def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mode):
     rig = moving()
     sequence, lost = Sequence("CalibrateAll", ()), ContactLost("drill")
-    after = respond(rig, MoveOutcome(mode, rig.state.move, sequence, None, ()), lost)
+    after = respond(rig, MoveOutcome(mode, None, rig.state.move, sequence, None, ()), lost)
     assert (after.mode, after.sequence, after.fault) == (mode, None, None)
     assert after.move.plan.stopped
     assert after.move.plan.end_mode is TRANSITIONS[mode, ModeEvent.STOP]
@@ -152,7 +156,7 @@ def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mo
 
 def test_power_off_is_a_brake_without_power():
     rig = moving()
-    before = MoveOutcome(Mode.FREE_SPACE, rig.state.move, None, None, ())
+    before = MoveOutcome(Mode.FREE_SPACE, None, rig.state.move, None, None, ())
     braked = respond(rig, before, NoContact(0.1))
     after = respond(rig, before, OverTemperature(Joint.WRIST, 100.0, 90.0))
     assert braked.move.plan.active.all()

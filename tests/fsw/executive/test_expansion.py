@@ -87,8 +87,8 @@ def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
 
 def test_a_tool_change_ends_with_the_other_tool_in_contact():
     rig = lab.guarded_in_contact()
-    rig.cycle(ToolChange("mahli", standoff_m=0.05), **lab.TOUCHED)
-    assert isinstance(rig.evrs[1], SpotSet)
+    rig.begin(ToolChange("mahli", standoff_m=0.05), **lab.TOUCHED)
+    assert any(isinstance(evr, SpotSet) for evr in rig.evrs)
     while rig.state.mode is not Mode.GUARDED or rig.state.tool != "mahli":
         rig.cycle()
     rig.run(**MAHLI_TOUCHED)
@@ -125,7 +125,7 @@ def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
 
 def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
     rig = lab.deployed()
-    rig.cycle(Process("portion", (1.0, 0.0, 0.2), 2.0))
+    rig.begin(Process("portion", (1.0, 0.0, 0.2), 2.0))
     assert isinstance(rig.state.sequence.remaining[-1], Hold)
     vibrating = 0
     while rig.outputs.joint.busy:

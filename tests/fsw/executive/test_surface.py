@@ -14,14 +14,16 @@ from fsw.estimate.joints import uninitialised_estimate
 from fsw.estimate.reference import no_reference
 from fsw.executive.context import check_arguments
 from fsw.executive.expansion import locate_surface
-from fsw.executive.planning import PlannedSequence, plan_command, plan_sequence
+from fsw.executive.planning import PlannedSequence, Start, plan_command
 from fsw.kinematics.transforms import normalize
-from fsw.motion.paths import FINE_STEP_M, check_paths, check_touch, compute_deflected_frames, sample_paths
-from fsw.motion.plan import Plan, Refusal, estimate_at
+from fsw.motion.clearance import check_paths, check_touch, compute_deflected_frames
+from fsw.motion.plan import Refusal, estimate_at
 from fsw.motion.plan_tool import plan_retract
+from fsw.motion.work import complete
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
-from tests.fsw.rig import MARS_R_m_s2, find_violation
+from tests.fsw.motion.lab import sample_closely
+from tests.fsw.rig import MARS_R_m_s2, find_violation, plan_of, planned
 
 PARAMS = arm_named("nominal").params
 CONFIG = configure(PARAMS)
@@ -37,7 +39,7 @@ INTO_THE_ROCK = "shoulder-out elbow-up wrist-down"
 
 def plan(command, surface=None):
     surface = surface or locate_surface(CONFIG, JOINTS, "apxs", command, None)
-    return plan_sequence(CONFIG, JOINTS, "apxs", command, surface)
+    return complete(CONFIG, plan_command(Start(JOINTS, "apxs", surface), command))
 
 
 @pytest.fixture(scope="module")
@@ -80,23 +82,26 @@ def test_a_normal_along_the_approach_is_refused():
 def test_a_stow_near_the_rock_begins_with_a_retraction_and_the_refusal_of_a_move_names_one_that_helps(steep):
     surface = locate_surface(CONFIG, JOINTS, "apxs", STEEP, None)
     at_standoff = estimate_at(JOINTS, steep.plans[-2].end)
-    stow = plan_command(CONFIG, at_standoff, "apxs", Stow(), surface)
-    assert isinstance(stow, Plan)
-    alone = plan_command(CONFIG, at_standoff, "apxs", Stow(), None)
-    back = plan_command(CONFIG, at_standoff, "apxs", Retract("apxs", 0.1), surface)
-    assert len(stow.paths) >= len(alone.paths) + len(back.paths)
+    stow = complete(CONFIG, plan_command(Start(at_standoff, "apxs", surface), Stow()))
+    assert isinstance(stow, PlannedSequence)
+    back, stowed = stow.commands
+    assert isinstance(back, Retract)
+    assert stowed == Stow()
+    alone = plan_of(CONFIG, at_standoff, Stow())
+    np.testing.assert_allclose(stow.plans[-1].end.output_rad, alone.end.output_rad, atol=1e-12)
     for branch, end in (
         (INTO_THE_ROCK, " % of the way are clear; clear after a retraction of 0.25 m"),
         ("shoulder-in elbow-up wrist-up", " % of the way are clear"),
     ):
         move = replace(steep.commands[-2], branch=branch)
-        assert plan_command(CONFIG, at_standoff, "apxs", move, surface).reason.endswith(end)
+        assert plan_of(CONFIG, at_standoff, move, "apxs", surface).reason.endswith(end)
 
 
 def test_a_guarded_line_is_refused_if_another_part_is_lower_than_the_tool_where_it_touches(steep):
     joints, paths = estimate_at(JOINTS, steep.plans[-2].end), steep.plans[-1].paths
-    assert check_touch(CONFIG, joints, paths, "apxs", -np.array(STEEP.approach_R)) is None
-    assert check_touch(CONFIG, joints, paths, "apxs", normalize(np.array([0.55, 0.0, -0.84]))) == (
+    flat, leaning = -np.array(STEEP.approach_R), normalize(np.array([0.55, 0.0, -0.84]))
+    assert complete(CONFIG, check_touch(CONFIG, joints, paths, "apxs", flat)) is None
+    assert complete(CONFIG, check_touch(CONFIG, joints, paths, "apxs", leaning)) == (
         "the turret would be 40 mm below the surface where the APXS touches it, "
         "at least 15 mm above are to be kept"
     )
@@ -111,8 +116,8 @@ def test_an_unstow_forgets_the_surface():
 def test_a_tool_that_touches_may_retract_wherever_a_close_look_finds_the_way_clear(steep):
     """A plane that leans more than the rock has parts above and below it at the start."""
     joints = estimate_at(JOINTS, steep.plans[-1].end)
-    paths = plan_retract(CONFIG, joints, Retract("apxs", 0.1)).paths
-    frames = compute_deflected_frames(CONFIG, joints, sample_paths(CONFIG, paths, FINE_STEP_M))
+    paths = planned(CONFIG, plan_retract(CONFIG, joints, Retract("apxs", 0.1))).paths
+    frames = compute_deflected_frames(CONFIG, joints, sample_closely(paths))
     geometry, padding_m = CONFIG.collision_geometry, PARAMS.collision.padding_m
     tip_m, axis = np.array(steep.commands[-1].end_p_RoTo_R_m), np.array(STEEP.approach_R)
     sideways = normalize(np.cross(axis, [0.0, 0.0, 1.0]))
@@ -123,6 +128,6 @@ def test_a_tool_that_touches_may_retract_wherever_a_close_look_finds_the_way_cle
             surface = limit_surface(geometry, frames, TargetSurface(tip_m, normal, geometry.surface_radius_m))
             close = find_violation(geometry, frames, padding_m, "apxs", surface)
             if close is None:
-                assert check_paths(CONFIG, joints, paths, padding_m, "apxs", surface) is None
+                assert complete(CONFIG, check_paths(joints, paths, padding_m, "apxs", surface)) is None
             clear += close is None
     assert 20 < clear < 60

@@ -16,6 +16,11 @@ def sampled(path, n=400):
     return times, np.array([s.motor_rad for s in setpoints]), np.array([s.rate_rad_s for s in setpoints])
 
 
+def sample_closely(paths, poses: int = 200) -> np.ndarray:
+    """Motor angles (5, n) along paths, so close to each other that nothing is missed in between."""
+    return np.concatenate([sampled(path, poses)[1].T for path in paths], axis=1)
+
+
 def likely(joints: JointEstimate) -> np.ndarray:
     return joints.gear_rad[:, LIKELY]
 

@@ -21,9 +21,20 @@ from fsw.motion.move import ALL_JOINTS, Move, MovePlan, Phase, advance_move, com
 from fsw.motion.paths import LinePath, Setpoint, StopPath, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan, Refusal
 from fsw.motion.plan_tool import plan_guarded, plan_retract
+from fsw.motion.work import complete
 from helpers.marks import slow_but
 from tests.fsw.motion.lab import along, likely, sampled
-from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, quiet_sensors, with_params
+from tests.fsw.rig import (
+    Rig,
+    config_of,
+    facing,
+    floats,
+    in_limits,
+    in_the_open,
+    planned,
+    quiet_sensors,
+    with_params,
+)
 from tests.tools import TOOLS
 
 CONFIG = config_of()
@@ -60,7 +71,7 @@ def test_the_phases_follow_one_another_to_the_end_and_the_set_point_goes_along_t
         assert len(moves) < 2000
     phases = [move.phase for move in moves]
     assert phases == sorted(phases)
-    assert set(phases) == set(Phase)
+    assert set(phases) == set(Phase) - {Phase.PLAN}
     assert result.evrs == (CommandCompleted("MoveJoints"),)
     assert result.end_mode is Mode.DEPLOYED
     seen = np.array([move.setpoint.motor_rad for move in moves])
@@ -75,7 +86,7 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
     assert stopped.plan.stopped
     assert stopped.plan.guarded_tool is None
     assert stopped.plan.end_mode is Mode.GUARDED
-    expected = {Phase.RELEASE: Phase.BRAKE}.get(phase, phase)
+    expected = {Phase.RELEASE: Phase.BRAKE, Phase.PLAN: Phase.SETTLE}.get(phase, phase)
     assert stopped.phase is expected
     if phase is Phase.RUN:
         (path,) = stopped.plan.paths
@@ -138,7 +149,7 @@ def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_
         there = np.append(joints.output_rad[: Joint.WRIST], other[Joint.WRIST :])
         tool = TOOLS[rng.integers(5)]
         wanted = down_in(config, there, gravity, tool)
-        answer = find_gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
+        answer = complete(config, find_gravity_pose(joints, Process(tool, floats(wanted), 1.0)))
         assert not isinstance(answer, Refusal), answer.reason
         assert np.linalg.norm(down_in(config, answer, gravity, tool) - wanted) < 1e-9
         np.testing.assert_array_equal(answer[: Joint.WRIST], joints.output_rad[: Joint.WRIST])
@@ -151,7 +162,8 @@ def test_what_the_wrist_cannot_do_with_this_azimuth_is_refused_with_what_it_can(
     gravity = 3.711 * np.array([0.0, np.sin(0.3), np.cos(0.3)])
     joints = replace(rig.state.joints, imu_R_m_s2=gravity)
     axis_T = CONFIG.arm.X_FT["portion"].R[2]
-    answer = find_gravity_pose(CONFIG, joints, Process("portion", floats(axis_T), 1.0, deflection="off"))
+    command = Process("portion", floats(axis_T), 1.0, deflection="off")
+    answer = complete(CONFIG, find_gravity_pose(joints, command))
     assert isinstance(answer, Refusal)
     assert "with this azimuth the wrist can bring it to 17.2 .. 162.8 deg" in answer.reason
     wrist = np.linspace(-np.pi, np.pi, 721)
@@ -262,9 +274,9 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool) if start == "facing" else None)
     joints, begin = rig.state.joints, rig.tool_pose(tool)
     if kind == "guarded":
-        plan = plan_guarded(CONFIG, joints, rig.touch(tool, 0.12))
+        plan = planned(CONFIG, plan_guarded(CONFIG, joints, rig.touch(tool, 0.12)))
     else:
-        plan = plan_retract(CONFIG, joints, Retract(tool, 0.1))
+        plan = planned(CONFIG, plan_retract(CONFIG, joints, Retract(tool, 0.1)))
     assert isinstance(plan, Plan)
     there = begin.p + (0.12 if kind == "guarded" else -0.1) * begin.R[:, 0]
     way = (there - begin.p) / np.linalg.norm(there - begin.p)
@@ -298,7 +310,7 @@ def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
     X = rig.tool_pose("apxs")
     approach = X.R[:, 0] + 0.02 * X.R[:, 1]
     command = GuardedMove("apxs", floats(X.p + 0.1 * X.R[:, 0]), floats(approach))
-    path = straight(plan_guarded(config, rig.state.joints, command))
+    path = straight(planned(config, plan_guarded(config, rig.state.joints, command)))
     end, _ = along(config, "apxs", path, likely(rig.state.joints))
     np.testing.assert_allclose(end.R[:, 0, -1], approach / np.linalg.norm(approach), atol=1e-7)
 
@@ -306,7 +318,7 @@ def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
 @pytest.mark.parametrize("tool", TOOLS)
 def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_its_speed(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
-    plan = plan_guarded(CONFIG, rig.state.joints, rig.touch(tool, 0.15))
+    plan = planned(CONFIG, plan_guarded(CONFIG, rig.state.joints, rig.touch(tool, 0.15)))
     np.testing.assert_allclose(plan.paths[0].at(0.0).motor_rad, rig.state.joints.motor_rad, atol=1e-12)
     for path in (one for one in plan.paths if isinstance(one, LinePath)):
         times, angle, rate = sampled(path, 600)

@@ -15,10 +15,10 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import settle
 from fsw.motion.plan import TOO_SOFT, Compensation, Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
-from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
+from fsw.motion.plan_tool import plan_guarded, plan_retract
 from helpers.marks import slow_but
 from tests.fsw.motion.lab import gear_at_end
-from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits, pose_of
+from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits, plan_of, planned, pose_of
 from tests.tools import TOOLS, tool_index
 
 CONFIG = config_of()
@@ -39,6 +39,10 @@ def targets(tool, n=RNG_TARGETS):
     return [MoveTool(tool, floats(X[k].p), floats(X[k].R[:, 0])) for k in range(n)]
 
 
+def pose_plan(joints, poses, compensation):
+    return planned(CONFIG, plan_poses(joints, poses, compensation))
+
+
 def seconds(plan, joints):
     return np.max(np.abs(plan.end.output_rad - joints.output_rad) / CONFIG.speed_rad_s)
 
@@ -47,7 +51,7 @@ def seconds(plan, joints):
 def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
     joints = joints_at()
     for command in targets(tool):
-        plan = plan_tool(CONFIG, joints, command)
+        plan = plan_of(CONFIG, joints, command)
         assert isinstance(plan, Plan)
         X = pose_of(CONFIG.arm, plan.end.output_rad, tool, MARS_R_m_s2)
         np.testing.assert_allclose(X.p, command.p_FoTo_F_m, atol=MEETS)
@@ -59,9 +63,9 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
 def test_auto_takes_the_quickest_branch_that_a_name_could_have_chosen(tool):
     joints = joints_at()
     for command in targets(tool, 5):
-        named = {name: plan_tool(CONFIG, joints, replace(command, branch=name)) for name in BRANCHES}
+        named = {name: plan_of(CONFIG, joints, replace(command, branch=name)) for name in BRANCHES}
         valid = {name: plan for name, plan in named.items() if isinstance(plan, Plan)}
-        auto = plan_tool(CONFIG, joints, replace(command, branch=AUTO))
+        auto = plan_of(CONFIG, joints, replace(command, branch=AUTO))
         assert auto.branch in valid
         assert seconds(auto, joints) == min(seconds(plan, joints) for plan in valid.values())
 
@@ -69,24 +73,24 @@ def test_auto_takes_the_quickest_branch_that_a_name_could_have_chosen(tool):
 def test_an_approach_need_not_have_unit_length_and_without_deflection_the_rigid_arm_meets_the_target():
     joints, command = joints_at(), targets("apxs")[0]
     long = replace(command, approach_F=floats(7.0 * np.array(command.approach_F)))
-    ends = [plan_tool(CONFIG, joints, one).end.motor_rad for one in (long, command)]
+    ends = [plan_of(CONFIG, joints, one).end.motor_rad for one in (long, command)]
     np.testing.assert_allclose(*ends, atol=1e-9)
-    plan = plan_tool(CONFIG, joints, replace(command, deflection="off"))
+    plan = plan_of(CONFIG, joints, replace(command, deflection="off"))
     rigid = forward(CONFIG.arm, plan.end.motor_rad + plan.backlash_rad)
     np.testing.assert_allclose(tool_pose(CONFIG.arm, rigid, "apxs").p, command.p_FoTo_F_m, atol=1e-8)
 
 
 def test_a_target_is_refused_if_the_line_beyond_it_cannot_be_run():
     rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
-    assert isinstance(plan_tool(CONFIG, rig.state.joints, rig.here("apxs", line_m=0.05)), Plan)
-    far = plan_tool(CONFIG, rig.state.joints, rig.here("apxs", line_m=4.0))
+    assert isinstance(plan_of(CONFIG, rig.state.joints, rig.here("apxs", line_m=0.05)), Plan)
+    far = plan_of(CONFIG, rig.state.joints, rig.here("apxs", line_m=4.0))
     assert isinstance(far, Refusal)
     assert far.reason.startswith("apxs: the end of the approach: ")
     assert " out of reach by " in far.reason
 
 
 def test_out_of_reach_is_refused_with_the_nearest_branch_and_the_missing_metres():
-    refusal = plan_tool(CONFIG, joints_at(), MoveTool("apxs", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
+    refusal = plan_of(CONFIG, joints_at(), MoveTool("apxs", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
     assert isinstance(refusal, Refusal)
     match = re.fullmatch(r"apxs: the target: (.+): out of reach by ([\d.]+) m", refusal.reason)
     assert match[1] in BRANCHES
@@ -100,7 +104,7 @@ def test_a_named_branch_is_refused_for_its_own_reason(name):
     refused = 0
     for tool in TOOLS:
         for command in targets(tool, 4):
-            plan = plan_tool(CONFIG, joints, replace(command, branch=name))
+            plan = plan_of(CONFIG, joints, replace(command, branch=name))
             if isinstance(plan, Refusal):
                 match = re.fullmatch(rf"{tool}: the target: {name}: (.+)", plan.reason)
                 reasons = (
@@ -114,7 +118,7 @@ def test_a_named_branch_is_refused_for_its_own_reason(name):
 def test_poses_are_met_at_the_output_gap_and_wind_up_allowed_for():
     poses = list(in_limits(CONFIG, np.random.default_rng(8), 5, shrink=0.05).T)
     joints = joints_at()
-    plan = plan_poses(CONFIG, joints, poses, Compensation())
+    plan = pose_plan(joints, poses, Compensation())
     # the last move may need a run-up, which is a path of its own
     assert len(plan.paths) in (5, 6)
     np.testing.assert_allclose(plan.end.output_rad, poses[-1], atol=1e-9)
@@ -127,7 +131,7 @@ def test_poses_are_met_at_the_output_gap_and_wind_up_allowed_for():
 def test_a_move_smaller_than_the_gap_is_planned_from_where_the_output_lies(motion_rad):
     joints = joints_at()
     pose = joints.output_rad + np.array([motion_rad, 0, 0, 0, 0])
-    plan = plan_poses(CONFIG, joints, [pose], Compensation())
+    plan = pose_plan(joints, [pose], Compensation())
     np.testing.assert_allclose(gear_at_end(CONFIG, joints, plan), plan.end.gear_rad, atol=1e-9)
     np.testing.assert_allclose(plan.end.output_rad, pose, atol=1e-9)
     assert abs(plan.backlash_rad[0]) == pytest.approx(CONFIG.half_backlash_rad[0], abs=1e-12)
@@ -140,7 +144,7 @@ def test_every_output_ends_on_a_known_side_of_its_gap(seed):
     start, pose = in_limits(CONFIG, np.random.default_rng([400, seed]), 2, shrink=0.05).T
     rig = Rig(CONFIG, start_rad=start)
     joints = rig.state.joints
-    plan = plan_poses(CONFIG, joints, [pose], Compensation())
+    plan = pose_plan(joints, [pose], Compensation())
     np.testing.assert_allclose(np.abs(plan.backlash_rad), CONFIG.half_backlash_rad, atol=1e-12)
     np.testing.assert_allclose(gear_at_end(CONFIG, joints, plan), plan.end.gear_rad, atol=1e-5)
     rig.run(MoveJoints(floats(pose)))
@@ -153,7 +157,7 @@ def test_every_output_ends_on_a_known_side_of_its_gap(seed):
 def test_on_its_way_to_a_known_side_no_output_leaves_its_soft_limits(joint, end):
     pose = np.array(CONFIG.params.poses.ready_rad)
     pose[joint] = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
-    plan = plan_poses(CONFIG, joints_at(), [pose], Compensation())
+    plan = pose_plan(joints_at(), [pose], Compensation())
     room = CONFIG.half_backlash_rad + 200 / CONFIG.arm.gear_stiffness_Nm_rad
     for path in plan.paths:
         motor = path.at(path.duration_s).motor_rad
@@ -163,7 +167,7 @@ def test_on_its_way_to_a_known_side_no_output_leaves_its_soft_limits(joint, end)
 
 def test_without_backlash_compensation_the_set_points_do_not_know_of_the_gap_and_the_way_is_direct():
     pose = np.array(CONFIG.params.poses.ready_rad) + 0.1
-    plan = plan_poses(CONFIG, joints_at(), [pose], Compensation(backlash="off"))
+    plan = pose_plan(joints_at(), [pose], Compensation(backlash="off"))
     assert len(plan.paths) == 1
     np.testing.assert_array_equal(plan.backlash_rad, 0)
     error_rad = plan.end.output_rad - pose
@@ -175,7 +179,7 @@ def test_a_line_out_of_reach_says_where_it_ends():
     pose = facing(CONFIG, "apxs")
     pose[1:4] = [-0.4, 0.9, -0.9]
     rig = Rig(CONFIG, start_rad=pose)
-    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", 0.5))
+    refusal = planned(CONFIG, plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", 0.5)))
     assert isinstance(refusal, Refusal)
     match = re.fullmatch(r"the straight move leaves the reach of the arm after ([\d.]+) m", refusal.reason)
     reached = float(match[1])
@@ -191,7 +195,7 @@ def test_a_line_out_of_reach_says_where_it_ends():
 @pytest.mark.parametrize("distance_m", [0.61, 4.0, 1e4, 1e9])
 def test_a_line_longer_than_the_longest_is_refused_before_anything_is_planned(distance_m):
     rig, most_m = Rig(CONFIG, start_rad=facing(CONFIG, "apxs")), CONFIG.params.motion.line_max_m
-    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", distance_m))
+    refusal = planned(CONFIG, plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", distance_m)))
     reason = f"the straight move is {distance_m:.3g} m long, the longest allowed is {most_m} m"
     assert refusal == Refusal(reason)
 
@@ -213,7 +217,7 @@ def test_approach_and_way_of_a_guarded_move_may_turn_so_far_from_where_the_tool_
         ("the approach", replace(rig.touch("apxs", 0.05), approach_R=floats(axis))),
         ("the way to the end", GuardedMove("apxs", floats(X.p + 0.05 * axis), floats(X.R[:, 0]))),
     ):
-        plan = plan_guarded(CONFIG, rig.state.joints, command)
+        plan = planned(CONFIG, plan_guarded(CONFIG, rig.state.joints, command))
         assert isinstance(plan, Refusal) is refused
         if refused:
             assert plan.reason == f"{what} {off}, at most {np.degrees(bound):.1f} deg are allowed"
@@ -239,7 +243,7 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
             pytest.fail(f"cannot be followed beyond {s} m; take another example")
         at = found.output_rad
     assert worst_limit_excess(CONFIG, at) < 0
-    assert isinstance(plan_guarded(CONFIG, joints, rig.touch(tool, length_m)), Plan)
+    assert isinstance(planned(CONFIG, plan_guarded(CONFIG, joints, rig.touch(tool, length_m))), Plan)
 
 
 def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
@@ -249,8 +253,8 @@ def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
     for distance in (0.1, 0.2):
         rig = Rig(CONFIG, start_rad=pose)
         for plan in (
-            plan_retract(CONFIG, rig.state.joints, Retract("drill", distance)),
-            plan_guarded(CONFIG, rig.state.joints, rig.touch("drill", distance)),
+            planned(CONFIG, plan_retract(CONFIG, rig.state.joints, Retract("drill", distance))),
+            planned(CONFIG, plan_guarded(CONFIG, rig.state.joints, rig.touch("drill", distance))),
         ):
             if isinstance(plan, Refusal):
                 refusals.append(plan.reason)
@@ -259,9 +263,10 @@ def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
 
 def test_a_line_of_no_length_is_refused():
     rig = Rig(CONFIG)
-    touch, back = rig.touch("apxs", 0.0), Retract("apxs", 0.0)
-    for plan in (plan_guarded(CONFIG, rig.state.joints, touch), plan_retract(CONFIG, rig.state.joints, back)):
-        assert plan == Refusal("the straight move has no length")
+    joints = rig.state.joints
+    touch = plan_guarded(CONFIG, joints, rig.touch("apxs", 0.0))
+    back = plan_retract(CONFIG, joints, Retract("apxs", 0.0))
+    assert touch == back == Refusal("the straight move has no length")
 
 
 @pytest.mark.parametrize("softer", [100.0, 1e6])
@@ -271,16 +276,16 @@ def test_no_move_is_planned_for_an_arm_too_soft_to_come_to_rest(softer):
         replace(CONFIG, arm=replace(CONFIG.arm, compliance=softer * CONFIG.arm.compliance)),
     )
     pose = joints.output_rad
-    one = plan_joint(soft, joints, Joint.WRIST, pose[Joint.WRIST], Compensation())
-    assert one == plan_poses(soft, joints, [pose], Compensation()) == Refusal(TOO_SOFT)
+    one = planned(soft, plan_joint(joints, Joint.WRIST, pose[Joint.WRIST], Compensation()))
+    assert one == planned(soft, plan_poses(joints, [pose], Compensation())) == Refusal(TOO_SOFT)
 
 
 def test_a_target_with_its_approach_along_the_pitch_axes_is_refused_with_the_nearest_regular_approach():
     X = pose_of(CONFIG.arm, facing(CONFIG, "drill", np.pi / 2, [0.3, -0.8, 1.5, 1.0, 0.0]), "drill")
     command = MoveTool("drill", floats(X.p), floats(X.R[:, 0]), branch=BRANCHES[0], deflection="off")
-    refusal = plan_tool(CONFIG, joints_at(), command)
+    refusal = plan_of(CONFIG, joints_at(), command)
     assert isinstance(refusal, Refusal)
     what, words = refusal.reason.split("; the nearest regular approach in RMECH is ")
     assert "singular" in what
     regular = floats(np.array(words.split(), float))
-    assert isinstance(plan_tool(CONFIG, joints_at(), replace(command, approach_F=regular)), Plan)
+    assert isinstance(plan_of(CONFIG, joints_at(), replace(command, approach_F=regular)), Plan)

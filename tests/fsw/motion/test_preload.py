@@ -7,7 +7,14 @@ import pytest
 
 from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ForceEstimated, Preloaded, PreloadMissed
+from fsw.dictionary.evrs import (
+    CommandAborted,
+    CommandCompleted,
+    CommandRefused,
+    ForceEstimated,
+    Preloaded,
+    PreloadMissed,
+)
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.motion.force_fit import MIN_CORRECTION_N, MIN_RATIO_STD, ForceFit, estimate_force_ratio, report_miss
@@ -20,6 +27,7 @@ from fsw.motion.preload import (
     model_contact,
     plan_preload,
 )
+from fsw.motion.work import complete
 from helpers.marks import slow_but
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 from tests.fsw.rig import Rig, in_the_open, made_once
@@ -38,7 +46,7 @@ def pressed_with(force_N: float) -> Rig:
 def test_the_force_rises_and_the_tool_ends_where_it_touched():
     rig = guarded_in_contact()
     forces = []
-    rig.cycle(Preload("apxs", 300.0), **TOUCHED)
+    rig.begin(Preload("apxs", 300.0), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(**TOUCHED)
         forces.append(rig.state.preload.force_N)
@@ -94,7 +102,7 @@ def test_a_force_is_changed_and_released_the_way_it_came():
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.PRELOAD, 80.0)
     assert CommandCompleted("Preload") in rig.run(Preload("apxs", 0.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
-    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
+    rig.begin(Retract("apxs", 0.02), **TOUCHED)
     assert (rig.state.mode, rig.state.preload) == (Mode.RETRACTING, None)
 
 
@@ -107,7 +115,8 @@ def test_a_press_is_refused_where_no_joint_angles_keep_the_tool():
     )
     for aside_m, reason in ((9.0, no_angles), (-1.0, beyond)):
         moved = replace(touch, p_RoTo_R_m=touch.p_RoTo_R_m + np.array([aside_m, 0.0, 0.0]))
-        assert plan_preload(rig.config, rig.state.joints, moved, 300.0).reason.startswith(reason)
+        work = plan_preload(rig.config, rig.state.joints, moved, 300.0)
+        assert complete(rig.config, work).reason.startswith(reason)
 
 
 @pytest.mark.parametrize("softer", [100.0, 1e6])
@@ -115,7 +124,7 @@ def test_a_press_is_refused_for_an_arm_too_soft_to_come_to_rest(softer):
     rig = guarded_in_contact()
     touch = model_contact(rig.config, rig.state.joints, "apxs")
     soft = replace(rig.config, arm=replace(rig.config.arm, compliance=softer * rig.config.arm.compliance))
-    refusal = plan_preload(soft, rig.state.joints, touch, 300.0)
+    refusal = complete(soft, plan_preload(soft, rig.state.joints, touch, 300.0))
     assert refusal == Refusal("no overdrive found from 2.0 to 300.0 N")
 
 
@@ -123,9 +132,10 @@ def test_a_press_with_another_part_in_the_ground_or_by_a_small_change_is_refused
     rig = guarded_in_contact()
     rig.config, height_m = in_the_open(rig.config), float(rig.tool_pose("apxs").p[2])
     vars(rig.config)["collision_geometry"] = replace(rig.config.collision_geometry, ground_z_m=height_m)
-    rig.cycle(Preload("apxs", 300.0), Preload("apxs", 5.0), **TOUCHED)
+    events = [rig.begin(Preload("apxs", force_N), **TOUCHED) for force_N in (300.0, 5.0)]
     reasons = ["the DRT meets the ground; 0 % of the way are clear", "apxs is pressed with 2.0 N as it is"]
-    assert [evr.reason for evr in rig.evrs] == reasons
+    refused = [evr.reason for some in events for evr in some if isinstance(evr, CommandRefused)]
+    assert refused == reasons
 
 
 def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
@@ -133,7 +143,7 @@ def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
     joints = rig.state.joints
     reference = replace(joints.reference, friction_Nm=np.full(5, 170.0))
     rig.state = replace(rig.state, joints=replace(joints, reference=reference))
-    rig.cycle(Preload("apxs", 100.0), **TOUCHED)
+    rig.begin(Preload("apxs", 100.0), **TOUCHED)
     rig.cycle(**TOUCHED)
     limit = rig.outputs.drive.current_limit_A
     assert np.all(limit <= rig.config.current_limit_A)
@@ -155,7 +165,7 @@ def test_nothing_is_pressed_without_a_closed_switch_nor_with_another_tool_nor_wi
 @pytest.mark.parametrize("end", ["stop", "fault"])
 def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
     rig = guarded_in_contact()
-    rig.cycle(Preload("apxs", 200.0), **TOUCHED)
+    rig.begin(Preload("apxs", 200.0), **TOUCHED)
     while rig.state.preload.force_N < 100.0:
         rig.cycle(**TOUCHED)
     if end == "stop":
@@ -175,7 +185,7 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
 @pytest.mark.parametrize("left_N", [6.0, 0.0])
 def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_off(left_N):
     rig = pressed_with(100.0)
-    rig.cycle(Preload("apxs", 0.0), **TOUCHED)
+    rig.begin(Preload("apxs", 0.0), **TOUCHED)
     while rig.state.preload.force_N > left_N:
         rig.cycle(**TOUCHED)
     rig.run(Stop(), **TOUCHED)
@@ -186,7 +196,7 @@ def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_
     assert Preloaded("apxs", stopped) in evrs
     assert CommandCompleted("Preload") in evrs
     assert rig.state.mode is Mode.GUARDED
-    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
+    rig.begin(Retract("apxs", 0.02), **TOUCHED)
     assert rig.state.mode is Mode.RETRACTING
 
 
@@ -214,7 +224,7 @@ def pressed(
 
 
 def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, across=(0.0, 0.0)) -> None:
-    rig.cycle(Preload("apxs", force_N), **TOUCHED)
+    rig.begin(Preload("apxs", force_N), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
 
@@ -286,7 +296,7 @@ def fit_of(force_N, turns_from_N=(0.0,) * 5):
     rig = guarded_in_contact()
     config, joints = rig.config, rig.state.joints
     preload = model_contact(config, joints, "apxs")
-    per_N = plan_preload(config, joints, preload, 300.0)[1].torque_per_N
+    per_N = complete(config, plan_preload(config, joints, preload, 300.0)).change.torque_per_N
     fit, turns, turns_from_N = ForceFit(preload), np.ones(5), np.array(turns_from_N)
     for model_N in np.linspace(20.0, 300.0, 1000):
         fit = fit.add_cycle(model_N, 10.0, per_N * force_N(model_N), turns, turns_from_N <= model_N)

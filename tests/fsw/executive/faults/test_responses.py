@@ -124,7 +124,9 @@ def test_stop_and_brake_ends_as_a_commanded_stop_does():
 @pytest.mark.parametrize("phase", [Phase.RELEASE, Phase.SETTLE])
 def test_stop_and_brake_of_a_move_that_is_not_on_its_way_brakes_at_once(phase):
     rig = Rig(lab.CONFIG, start_rad=lab.START)
-    rig.until(MoveJoints(floats(lab.START + 0.002)), lambda: rig.state.move.phase is phase)
+    rig.begin(MoveJoints(floats(lab.START + 0.002)))
+    while rig.state.move.phase is not phase:
+        rig.cycle()
     assert not lab.skip(rig).drive.brake_release.any()
     rig.run()
     assert CommandAborted("MoveJoints") in rig.evrs
@@ -171,7 +173,7 @@ def test_a_sequence_does_not_go_on_after_any_response(response, clearing):
 def test_brakes_hold_before_power_goes_off_and_let_go_before_anything_moves():
     rig = Rig(lab.CONFIG, start_rad=lab.START)
     start = rig.count.copy()
-    rig.cycle(MoveJoints(floats(lab.START + 0.002)))
+    rig.begin(MoveJoints(floats(lab.START + 0.002)))
     released_for = 0
     while np.array_equal(rig.outputs.drive.setpoint_count, start):
         assert rig.outputs.drive.power_on.all()

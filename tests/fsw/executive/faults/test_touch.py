@@ -1,5 +1,7 @@
 """Contact, wanted and not; readings that are wild, no number, frozen, missed or turned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,12 +11,11 @@ from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import CyclesMissed, GravityImplausible, SensorFrozen, SensorNotFinite
-from fsw.motion.plan import Refusal
 from fsw.motion.preload import holding_force_N
 from helpers.marks import slow_but
 from tests.fsw.executive.faults import lab
 from tests.fsw.protect.test_readings import BAD, QUIET, corrupted
-from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, levers_m, made_once
+from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, in_the_open, levers_m, made_once
 from tests.tools import TOOL_SWITCHES, TOOLS, WITH_SWITCHES
 
 
@@ -77,9 +78,11 @@ def test_a_guarded_move_that_touches_before_it_moves_presses_no_further_and_can_
     assert rig.state.preload.force_N == 0.0
 
 
-def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
-    monkeypatch.setattr("fsw.motion.move.plan_preload", lambda *_: Refusal("for this test"))
+def test_a_touch_that_may_not_press_stays_where_its_switch_closed():
+    """Another part of the turret would meet the ground."""
     rig = lab.in_guarded_motion("apxs")
+    rig.config, height_m = in_the_open(rig.config), float(rig.tool_pose("apxs").p[2])
+    vars(rig.config)["collision_geometry"] = replace(rig.config.collision_geometry, ground_z_m=height_m)
     rig.cycle(**lab.closed("apxs_1"))
     rig.run(**lab.closed("apxs_1"))
     assert evrs.CommandCompleted("GuardedMove") in rig.evrs
@@ -107,7 +110,7 @@ def test_the_travel_at_contact_is_how_far_the_tool_went():
 def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     rig = Rig(lab.CONFIG, start_rad=lab.START)
     rig.evrs.clear()
-    rig.cycle(rig.touch("apxs", 0.03))
+    rig.begin(rig.touch("apxs", 0.03))
     while rig.state.mode is Mode.GUARDED:
         rig.cycle()
     (evr,) = lab.found(rig, faults.NoContact)
