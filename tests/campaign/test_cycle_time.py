@@ -1,6 +1,6 @@
 """Tests of bounded work: how much one cycle does, and what becomes of cycles that are missed meanwhile.
 
-Work is counted in calls of functions, which are the same on every machine.
+Work is counted in calls of functions, which the load of the machine does not change.
 """
 
 import sys
@@ -12,6 +12,7 @@ import pytest
 
 from fsw.config import CYCLE_S
 from fsw.cycle import step
+from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import CommandRefused, CyclesSkipped
 from sim.arms import arm_named
 from sim.initialisation import true_reference
@@ -19,6 +20,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
 from sim.sequence import Outcome, SequenceRun
 from sim.setting import Surface, World
+from validation.benchmarks import describe_cycles
 from validation.cycle_time import (
     MOST_MEDIANS,
     PLAIN_SHARE,
@@ -34,6 +36,7 @@ ARM = arm_named("nominal")
 CLEAR = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 BLOCKED = Placement("mahli", (2.0, -0.2, -0.32), (-0.96, -0.16, -0.24))
 """Placement at which every branch leads the arm into the rock."""
+TURNS = tuple(MoveJoints((turn_rad, 0.0, 0.0, 0.0, 0.0), relative=True) for turn_rad in (0.01, -0.01))
 
 
 def setup(placement: Placement) -> Setup:
@@ -61,10 +64,10 @@ def counted_step(calls: list[int], *arguments):
 
 @cache
 def plain_calls() -> float:
-    """Return the calls of a plain cycle: the median of a placement that is on time."""
+    """Return the calls of a plain cycle: the median of two short turns."""
     calls: list[int] = []
     with hooked_step(partial(counted_step, calls)):
-        for _ in PlacementRun(ClosedLoop(setup(CLEAR)), CLEAR):
+        for _ in SequenceRun(ClosedLoop(setup(CLEAR)), TURNS):
             pass
     return float(np.median(calls))
 
@@ -108,8 +111,8 @@ def test_a_cycle_that_takes_more_than_two_periods_misses_two():
 
 @cache
 def timed():
-    """Time a placement."""
-    return time_run(ClosedLoop(setup(CLEAR)), partial(PlacementRun, placement=CLEAR))
+    """Time two short turns."""
+    return time_run(ClosedLoop(setup(CLEAR)), partial(SequenceRun, commands=TURNS))
 
 
 def test_the_least_time_of_three_equal_runs_counts_for_each_cycle():
@@ -120,15 +123,15 @@ def test_the_least_time_of_three_equal_runs_counts_for_each_cycle():
 
 
 def test_runs_that_differ_are_not_compared():
-    starts = iter((CLEAR, BLOCKED))
-    with pytest.raises(RuntimeError, match="two runs of the same start differ, at first in cycle 0"):
-        time_run(ClosedLoop(setup(CLEAR)), lambda loop: PlacementRun(loop, next(starts)))
+    turns = iter(TURNS)
+    with pytest.raises(RuntimeError, match="two runs of the same start differ, at first in cycle "):
+        time_run(ClosedLoop(setup(CLEAR)), lambda loop: SequenceRun(loop, (next(turns),)))
 
 
 def test_the_time_from_a_command_to_its_motion_is_told():
     run = timed()
     to_motion_s = times_to_motion(run.notes)
-    assert len(to_motion_s) == 2  # the placement and the retraction
+    assert len(to_motion_s) == len(TURNS)
     first = next(k for k, note in enumerate(run.notes) if note.is_moving)
     assert to_motion_s[0] == first * CYCLE_S
 
@@ -143,7 +146,7 @@ def test_a_long_cycle_is_told_with_its_command_and_is_out_of_bounds():
     assert not found["in_bounds"]
     assert found["above"] == {"10 medians": 1, "30 medians": 1, "60 medians": 1}
     assert found["largest_in"].startswith("a run: 61 medians, 3.0 ms: ")
-    assert "0 cycles after PlaceTool" in found["largest_in"]
+    assert "0 cycles after MoveJoints" in found["largest_in"]
 
 
 def test_a_placement_that_fails_late_is_out_of_bounds():
@@ -157,3 +160,13 @@ def test_a_placement_that_fails_late_is_out_of_bounds():
 def test_a_run_without_a_command_has_no_time_to_motion():
     run = time_run(ClosedLoop(setup(CLEAR)), lambda loop: SequenceRun(loop, ()))
     assert times_to_motion(run.notes) == []
+
+
+def test_the_histogram_of_cycle_times_counts_every_cycle():
+    found = describe_cycles(np.array([1, 20_000, 20_000, 40_000, 40_000, 40_000, 130_000, 2_000_000_000]))
+    assert found["histogram"]["edges_us"][:4] == [16.0, 32.0, 64.0, 128.0]
+    assert found["histogram"]["cycles"] == [3, 3, 0, 1, *11 * [0], 1]
+    assert found["largest_over_median"] == 2_000_000.0 / 40.0
+    bars = list(found["bars"].items())
+    assert bars[0] == ("     16 to      32 us", "      3 ######")
+    assert bars[2] == ("     64 to     128 us", "      0")
