@@ -1,7 +1,8 @@
 """Program that times flight software in blocks of cycles, in the tree that Python finds first.
 
 `step_pairs` starts it, in two trees at a time, and lets them run in turn. It uses names only that both have.
-It prints the tree; then, for each line that it reads, the median processor time [ns] of the next block.
+It prints the tree; then, for the name of a part in each line that it reads, the median processor time [ns] of
+the next block of that part.
 """
 
 import gc
@@ -22,6 +23,7 @@ from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, place_command
+from sim.record import CycleRecord
 from sim.sequence import run_sequence
 from sim.setting import Surface, World
 
@@ -31,35 +33,41 @@ TURN_RAD: Final = (0.3, 0.1, -0.1, 0.2, 0.3)
 PRESS_N: Final = 60.0
 
 
-def main(part: str) -> None:
-    """Print the tree, then a line for each line of the input."""
-    run, times_ns = endless(part), list[int]()
+def main() -> None:
+    """Print the tree, then a line for each name of a part in the input."""
+    arm = arm_named("nominal")
+    world = World(surface=Surface(TARGET.p_N_m, TARGET.normal_N))
+    ready = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
+    touching = ready.fork()
+    for _ in run_sequence(touching, (place_command(TARGET),)):
+        pass
+    parts = {
+        "rest": rest(ready.fork()),
+        "move": repeat(ready, MoveJoints(TURN_RAD, relative=True)),
+        "press": repeat(touching, Preload(TARGET.tool, PRESS_N)),
+    }
+    times_ns = list[int]()
     sim.loop.step = timed(times_ns)  # type: ignore[attr-defined]
-    next(run)
     gc.collect()
     gc.freeze()
     print(Path(fsw.__file__).parents[1], flush=True)
-    for _ in sys.stdin:
+    for line in sys.stdin:
         times_ns.clear()
-        for _ in islice(run, BLOCK_CYCLES):
+        for _ in islice(parts[line.strip()], BLOCK_CYCLES):
             pass
         print(np.median(times_ns), flush=True)
 
 
-def endless(part: str) -> Iterator[Any]:
-    """Run a part again and again from the same start."""
-    arm = arm_named("nominal")
-    world = World(surface=Surface(TARGET.p_N_m, TARGET.normal_N))
-    start = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
-    if part == "rest":
-        while True:
-            yield start.cycle()
-    if part == "press":
-        for _ in run_sequence(start, (place_command(TARGET),)):
-            pass
-    moves = MoveJoints(TURN_RAD, relative=True)
+def rest(loop: ClosedLoop) -> Iterator[CycleRecord]:
+    """Run cycles without a command."""
     while True:
-        yield from run_sequence(start.fork(), (Preload(TARGET.tool, PRESS_N) if part == "press" else moves,))
+        yield loop.cycle()
+
+
+def repeat(start: ClosedLoop, command: Any) -> Iterator[CycleRecord]:
+    """Run a command again and again from the same start."""
+    while True:
+        yield from run_sequence(start.fork(), (command,))
 
 
 def timed(times_ns: list[int]) -> Any:
@@ -75,4 +83,4 @@ def timed(times_ns: list[int]) -> Any:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main()
