@@ -1,5 +1,8 @@
 """Measure speeds, and the memory of a run without a log.
 
+Cycles: processor time of flight software in each cycle of the six scenarios, run once. What is told of the
+longest cycle holds other programs too; the campaign `cycle-time` takes the least of three runs.
+
 Recording: processor time of the plant's truth and of the recorder in a cycle of `contact-science`. Opening
 and closing the log count once in the run. So would other processes of the recorder, which has none. The
 slowest writes are those that close a chunk.
@@ -21,9 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
-import sim.loop
 from fsw.config import CYCLE_HZ
-from fsw.cycle import step
 from fsw.dictionary.commands import CalibrateAll
 from fsw.estimate.reference import Reference
 from marsarm.accuracy.budget import run_budget
@@ -38,10 +39,11 @@ from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
 from sim.record import CycleRecord
-from sim.scenario.file import load_scenario
-from sim.scenario.run import ScenarioRun, scenario_setup
+from sim.scenario.file import built_in_scenarios, load_scenario
+from sim.scenario.run import ScenarioRun, scenario_setup, teach
 from sim.setting import Surface, World
 from validation.campaigns import Context, Document
+from validation.cycle_time import Times, timed_steps
 
 REPEATS = 5
 TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
@@ -82,21 +84,12 @@ def time_calls(
     return run
 
 
-def _step_times_us() -> list[float]:
-    """Measure the microseconds of flight software in every cycle of a placement."""
-    times_s, loop = list[float](), placement_loop()
-    sim.loop.step = time_calls(step, times_s)  # type: ignore[attr-defined]
-    try:
-        for _ in PlacementRun(loop, TARGET):
-            pass
-    finally:
-        sim.loop.step = step  # type: ignore[attr-defined]
-    return [1e6 * t for t in times_s]
-
-
 def closed_loop() -> dict[str, Any]:
     """Measure the speed of the closed loop, and that of flight software in it."""
-    fsw_us = np.array(_step_times_us())
+    with timed_steps() as times_ns:
+        for _ in PlacementRun(placement_loop(), TARGET):
+            pass
+    fsw_us = 1e-3 * np.array(times_ns)
     return {
         "realtime_factor": median(_realtime_factor() for _ in range(REPEATS)),
         "fsw_step_us": {
@@ -105,6 +98,53 @@ def closed_loop() -> dict[str, Any]:
             "max": float(fsw_us.max()),
         },
     }
+
+
+EDGES_US: Final = 2.0 ** np.arange(4, 21)
+"""Edges of the histogram of cycle times, a factor of two apart: from 16 us to a second."""
+SIGNS_PER_DECADE: Final = 10
+"""Signs by which a bar is longer for ten times as many cycles."""
+
+
+def cycle_times() -> Document:
+    """Measure the processor time of flight software in each cycle of the six scenarios."""
+    reference, found = nominal_reference(), list[int]()
+    for name in built_in_scenarios():
+        scenario = load_scenario(name)
+        arm = teach(arm_named("nominal"), reference, scenario.taught, scenario.world)
+        loop = ClosedLoop(scenario_setup(scenario, arm, reference, 0))
+        with timed_steps() as times_ns:
+            for _ in ScenarioRun(loop, scenario):
+                pass
+        found += times_ns
+    return describe_cycles(np.array(found))
+
+
+def describe_cycles(times_ns: Times) -> Document:
+    """Describe the times of cycles, (n,), with a histogram in numbers and in bars of text."""
+    times_us = 1e-3 * times_ns
+    median_us = float(np.median(times_us))
+    counts, _ = np.histogram(np.clip(times_us, EDGES_US[0], EDGES_US[-1]), EDGES_US)
+    filled = np.flatnonzero(counts)
+    shown = range(filled[0], filled[-1] + 1)
+    return {
+        "count": times_us.size,
+        "median_us": median_us,
+        "p99_us": float(np.percentile(times_us, 99)),
+        "largest_us": float(times_us.max()),
+        "largest_over_median": float(times_us.max()) / median_us,
+        "histogram": {
+            "edges_us": EDGES_US[shown.start : shown.stop + 1].tolist(),
+            "cycles": counts[shown.start : shown.stop].tolist(),
+        },
+        "bars": {f"{EDGES_US[k]:7.0f} to {EDGES_US[k + 1]:7.0f} us": _bar(int(counts[k])) for k in shown},
+    }
+
+
+def _bar(count: int) -> str:
+    """Draw a number of cycles as a bar, which grows with its logarithm."""
+    length = round(1 + SIGNS_PER_DECADE * np.log10(count)) if count else 0
+    return f"{count:7d} {'#' * length}".rstrip()
 
 
 SCENARIO: Final = "contact-science"
@@ -199,6 +239,7 @@ def campaign(context: Context) -> Document:
     results: Document = {
         "machine": {"python": platform.python_version(), "machine": platform.machine()},
         "closed_loop": closed_loop(),
+        "cycles": cycle_times(),
         "recording": recording(),
         "budget": budget_speed(),
         "memory": memory(),

@@ -8,7 +8,7 @@ from validation.__main__ import main
 from validation.campaigns import TABLE, BriefResult, Campaign, Context, read_sizes
 
 WITHOUT_A_BRIEF_FORM = {
-    *("benchmarks", "brief", "documents", "mutants", "so101", "view"),
+    *("benchmarks", "brief", "documents", "mutants", "so101", "step-pairs", "view"),
     *("next-cases", "robot-pairs"),
 }
 """Measurements of speed, lists of other campaigns, what needs optional programs, and diagnoses in pairs."""
