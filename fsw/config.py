@@ -49,10 +49,15 @@ class Config:
         """Build the shapes of the arm, the rover and the ground; few configurations are asked for them."""
         return build_collision_geometry(self.params, self.arm)
 
-    @property
+    @cached_property
     def params_sha256(self) -> str:
-        """Return the SHA-256 of the parameter values; few configurations are asked for it."""
+        """Compute the SHA-256 of the parameter values; few configurations are asked for it."""
         return digest(self.params)
+
+    def prepare(self) -> "Config":
+        """Compute what is otherwise computed when it is first asked for, so that no cycle has to."""
+        _ = self.collision_geometry, self.params_sha256
+        return self
 
 
 def configure(params: Params) -> Config:

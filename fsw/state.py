@@ -98,6 +98,7 @@ class State:
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
     """Build the state before the first cycle, brakes on, power off; the reference is of an earlier homing."""
+    config.prepare()
     n = config.rad_per_count.size
     off = np.zeros(n, bool)
     return State(

@@ -194,10 +194,17 @@ def test_before_the_first_move_everything_stands_as_it_was_built_and_sensors_hav
     assert np.array_equal(*resolvers)
 
 
+def begin_move(loop, pose_rad):
+    """From a command until the brakes let go."""
+    record = loop.cycle((MoveJoints(joints5(pose_rad)),))
+    while not record.outputs.drive.brake_release.any():
+        record = loop.cycle()
+
+
 def test_every_move_draws_anew_from_its_seed_and_stays_with_it_and_flight_software_does_not_see_it():
     loop, other = start_loop(), start_loop(seed=1)
     for one in (loop, other):
-        one.cycle((MoveJoints(joints5(lab.READY_RAD + 0.01)),))
+        begin_move(one, lab.READY_RAD + 0.01)
     first = drawn(loop)
     assert not np.any((drawn(other) == first) & (first != 0))
     assert not [evr for evr in lab.run_to_rest(loop) if evr.severity.name.startswith(("WARNING", "FATAL"))]
@@ -206,7 +213,7 @@ def test_every_move_draws_anew_from_its_seed_and_stays_with_it_and_flight_softwa
     assert off_rad == pytest.approx(loop.plant.move_disturbance.motor_rad[Joint.WRIST], abs=1e-5)
     fork = loop.fork()
     for one in (loop, fork):
-        one.cycle((MoveJoints(joints5(lab.READY_RAD + 0.02)),))
+        begin_move(one, lab.READY_RAD + 0.02)
     assert np.array_equal(drawn(loop), drawn(fork))
     assert np.count_nonzero(first) == 14
     assert not np.any((drawn(loop) == first) & (first != 0))

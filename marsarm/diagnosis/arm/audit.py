@@ -164,13 +164,13 @@ def _units(recording: Recording) -> Iterator[str]:
 
 
 def _unused(recording: Recording) -> Iterator[str]:
-    """Report tracker poses that are not at the last tick of a rest; nothing is compared with them."""
+    """Report tracker poses that are of no rest, or not the last of it; nothing is compared with them."""
     ticks = recording.tracker_poses.tick
     odd = ticks[~np.isin(ticks, find_rests(recording))]
     if odd.size:
         yield (
-            f"{odd.size} of {ticks.size} tracker poses, that of tick {odd[0]} first, are not of the last "
-            f"tick of a rest, and are not used"
+            f"{odd.size} of {ticks.size} tracker poses, that of tick {odd[0]} first, are not the last of a "
+            f"rest of half a second or more, and are not used"
         )
 
 

@@ -284,6 +284,16 @@ def find_touch(recording: Recording) -> int | None:
 
 
 def find_rests(recording: Recording) -> list[int]:
-    """Find the last tick of every rest on the brakes of at least half a second."""
+    """Find a tick of every rest on the brakes of at least half a second.
+
+    It is that of a tracker pose after this time, or else the last one: the next move may be planned after the
+    pose was measured.
+    """
     still = np.asarray(~(recording.drive["power_on"] | recording.drive["brake_release"]).any(axis=1))
-    return [end - 1 for first, end in runs(still) if end - first >= CYCLE_HZ // 2]
+    least, measured = CYCLE_HZ // 2, recording.tracker_poses.tick
+    rests = []
+    for first, end in runs(still):
+        if end - first >= least:
+            here = measured[(measured >= first + least - 1) & (measured < end)]
+            rests.append(int(here[-1]) if here.size else end - 1)
+    return rests

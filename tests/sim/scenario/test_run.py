@@ -48,7 +48,7 @@ def test_commands_follow_each_other_and_are_counted():
     result = run(scenario(A_LITTLE, BACK))
     assert (result.outcome, result.command, result.passed) == (Outcome.DONE, 2, True)
     accepted = [time_s for time_s, evr in result.evrs if evr == CommandAccepted("MoveJoint")]
-    assert accepted[0] == 0.0
+    assert 0.0 < accepted[0] < 0.2
     assert accepted[1] > 3.0
 
 

@@ -296,7 +296,7 @@ def freeze(values: np.ndarray, end: int, value: float) -> np.ndarray:
 )
 def test_what_is_wrong_with_a_recording_is_noted_or_refused(recordings, find, name, change, words):
     """A good one is passed over in silence."""
-    assert not any([*find(one)] for one in recordings)
+    assert [note for one in recordings for note in find(one)] == []
     sensors = {**recordings[0].sensors, name: change(recordings[0].sensors[name])}
     assert any(words in note for note in find(replace(recordings[0], sensors=sensors)))
 
