@@ -24,6 +24,9 @@ LEAST_ROCK_M: Final = 0.1
 UP: Final = np.array([0.0, 0.0, -1.0])
 """Normal of level ground in RMECH."""
 
+BOX_PAIRS: Final = 5
+"""Pairs with a capsule of the arm that take as long as one with a box, which has twelve edges."""
+
 Indices = NDArray[np.intp]
 
 _ALONG: Final = np.repeat(np.eye(3), 4, axis=1)
@@ -143,17 +146,39 @@ def compute_clearances(
     within_m: float,
     touching: str | None = None,
     surface: TargetSurface | None = None,
+    most_pairs: int | None = None,
 ) -> Clearances:
     """Compute the distances of each part of the arm to each obstacle, exactly where they are within a bound.
 
     Those of a tool that is touching, and to a surface that is not there, do not count.
+
+    Args:
+        most_pairs: Most pairs of shapes whose distance is computed exactly, where a box of the arm counts as
+            several. Poses for which it does not suffice are left out at the end, but the first two are kept;
+            None for all.
     """
     arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
-    near_m = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
-    beyond_m = np.full(X_RS.p.shape[-1], np.inf)
     ignored = np.zeros(arm.part.size, bool)
     if touching is not None:
         ignored = arm.part == geometry.parts.index(touching)
+    bound = _bound_distances(geometry, X_RS.p)
+    bound[:, ignored] = np.inf
+    is_near = bound <= within_m
+    if most_pairs is not None:
+        pairs = np.where(arm.is_capsule, 1, BOX_PAIRS) @ is_near.sum(axis=0)
+        n = max(int((np.cumsum(pairs) <= most_pairs).sum()), 2)
+        X_RS, bound, is_near = X_RS[:, :n], bound[..., :n], is_near[..., :n]
+    near_m = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
+    beyond_m = np.where(is_near, np.inf, bound).min(axis=(0, 1))
+    obstacle, shape, pose = np.nonzero(is_near)
+    distance = _compute_distances(geometry, X_RS[shape, pose], shape, obstacle)
+    is_near = distance <= within_m
+    np.minimum.at(
+        near_m,
+        (arm.part[shape][is_near], rover.part[obstacle][is_near], pose[is_near]),
+        distance[is_near],
+    )
+    np.minimum.at(beyond_m, pose[~is_near], distance[~is_near])
     ground = TargetSurface(np.array([0.0, 0.0, geometry.ground_z_m]), UP)
     planes = {GROUND: _compute_heights(geometry, X_RS, ground)}
     if surface is not None:
@@ -164,19 +189,6 @@ def compute_clearances(
         shape, pose = np.nonzero(is_near)
         np.minimum.at(near_m[:, plane], (arm.part[shape], pose), height[shape, pose])
         beyond_m = np.minimum(beyond_m, np.where(is_near, np.inf, height).min(axis=0))
-    bound = _bound_distances(geometry, X_RS.p)
-    bound[:, ignored] = np.inf
-    is_near = bound <= within_m
-    beyond_m = np.minimum(beyond_m, np.where(is_near, np.inf, bound).min(axis=(0, 1)))
-    obstacle, shape, pose = np.nonzero(is_near)
-    distance = _compute_distances(geometry, X_RS[shape, pose], shape, obstacle)
-    is_near = distance <= within_m
-    np.minimum.at(
-        near_m,
-        (arm.part[shape][is_near], rover.part[obstacle][is_near], pose[is_near]),
-        distance[is_near],
-    )
-    np.minimum.at(beyond_m, pose[~is_near], distance[~is_near])
     return Clearances(near_m, beyond_m)
 
 

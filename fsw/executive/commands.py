@@ -81,7 +81,7 @@ from fsw.motion import homing
 from fsw.motion.force_fit import ForceFit
 from fsw.motion.move import ALL_JOINTS, NO_JOINTS, Move, MovePlan, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
-from fsw.motion.plan import Refusal
+from fsw.motion.plan import Plan, Refusal
 from fsw.motion.preload import (
     PressPlan,
     anchor_contact,
@@ -147,7 +147,7 @@ def continue_planning(config: Config, context: CommandContext) -> CommandContext
     if isinstance(planning.command, CompoundCommand):
         return _begin_sequence(config, context, planning.command, result, planning.surface)
     assert isinstance(planning.command, SingleMoveCommand)  # no other command is planned
-    return _begin_move(config, context, planning.command, result, planning.surface)
+    return _begin_move(config, context, planning.command, result.plans, planning.surface)
 
 
 def end_planning(context: CommandContext) -> CommandContext:
@@ -278,14 +278,17 @@ def _begin_sequence(
     planned: PlannedSequence,
     surface: TargetSurface | None,
 ) -> CommandContext:
-    """Begin a compound command; each of its steps is planned again when it begins."""
+    """Begin a compound command with its first step; the others are planned again when they begin."""
     state = context.state
     evrs: tuple[Evr, ...] = ()
     if isinstance(command, ToolChange):
         spot = locate_spot(config, state.joints, state.tool, command)
         evrs = (SpotSet(state.tool, *vector3(spot.p_m)),)
-    sequence = Sequence(command_name(command), planned.commands)
-    return _accept(context, command, *evrs, sequence=sequence, surface=surface)
+    first, *others = planned.commands
+    assert isinstance(first, SingleMoveCommand)  # every expansion begins with a move
+    begun = _begin_move(config, _accept(context, command, *evrs), first, planned.plans[:1], surface)
+    sequence = Sequence(command_name(command), tuple(others))
+    return replace(begun, state=replace(begun.state, sequence=sequence))
 
 
 def known_surface(config: Config, context: CommandContext) -> TargetSurface | None:
@@ -346,20 +349,20 @@ def _begin_move(
     config: Config,
     context: CommandContext,
     command: SingleMoveCommand,
-    planned: PlannedSequence,
+    plans: tuple[Plan, ...],
     surface: TargetSurface | None,
 ) -> CommandContext:
-    """Begin the move of a single command."""
+    """Begin the move of a single command, along these plans."""
     joints = context.state.joints
     mode = TRANSITIONS[context.state.mode, EVENT_OF[type(command)]]
     done = ModeEvent.DONE_STOWED if isinstance(command, Stow) else ModeEvent.DONE
     tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else context.state.tool
-    last = planned.plans[-1]
+    last = plans[-1]
     move = MovePlan(
         command_name(command),
         TRANSITIONS[mode, done],
         _only(command.joint) if isinstance(command, MoveJoint) else ALL_JOINTS,
-        tuple(path for plan in planned.plans for path in plan.paths),
+        tuple(path for plan in plans for path in plan.paths),
         guarded_tool=tool if isinstance(command, GuardedMove) else None,
     )
     # a guarded move of a tool already in contact ends at once: the preload stays as it is

@@ -51,8 +51,10 @@ NEAR_M: Final = 0.05
 """Clearance beyond the padding up to which distances are computed exactly; others are bounded from below."""
 LEAST_STEPS: Final = 8
 """Least number of steps along a path, on which a joint may turn back."""
-POSES: Final = 20
-"""Poses in a piece of work. Their number hardly counts in open space; close to the rock each takes 50 us."""
+POSES: Final = 32
+"""Most poses in a piece of work; each takes some 25 us."""
+PAIRS: Final = 300
+"""Most pairs of shapes in a piece of work whose distance is computed exactly; each takes some 2.5 us."""
 SHORTER: Final = 0.8
 """Share of the step of the right length that is tried next, as the arm may be faster there."""
 LONGER: Final = 2.0
@@ -138,10 +140,11 @@ class PathCheck(Work[str | None]):
         frames = compute_deflected_frames(config, self.joints, motor)
         if surface is not None and self.clearance is None:
             surface = limit_surface(geometry, frames, surface)
-        found = compute_clearances(geometry, frames, self.padding_m + NEAR_M, self.touching, surface)
+        within_m = self.padding_m + NEAR_M
+        found = compute_clearances(geometry, frames, within_m, self.touching, surface, PAIRS)
         last = self.clearance or begin_clearance(found.near_m[..., 0], self.padding_m, self.touching)
-        moved_m = measure_motion(geometry, frames)
         margin_m = self._margins_m(found, last)
+        moved_m = measure_motion(geometry, frames)[: margin_m.size - 1]
         known = moved_m.size if last.violation else _count_known(moved_m, margin_m)
         now = follow_clearance(last, found.near_m[..., : known + 1])
         way_m = self.way_m + np.concatenate([[0.0], np.cumsum(moved_m[:known])])
@@ -168,7 +171,7 @@ class PathCheck(Work[str | None]):
         """
         if now.violation is not None:
             return LONG_STEP_RAD
-        turn_rad = np.abs(np.diff(motor)).sum(axis=0)
+        turn_rad = np.abs(np.diff(motor[:, : margin_m.size])).sum(axis=0)
         nearby = slice(max(known - 2, 0), known + 1)
         m_rad = float((moved_m / np.maximum(turn_rad, 1e-9))[nearby].max())
         least_rad = SHORTER * FINE_STEP_M / max(m_rad, 1e-9)

@@ -63,7 +63,7 @@ def test_the_branch_into_the_rock_is_refused_with_the_part_and_its_depth():
     refusal = plan(replace(STEEP, branch=INTO_THE_ROCK))
     assert isinstance(refusal, Refusal)
     assert refusal.reason == (
-        f"apxs: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 13 % of the way are "
+        f"apxs: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 12 % of the way are "
         f"clear; on branch {INTO_THE_ROCK}, no way from up to 0.5 m above the surface is clear"
     )
 
