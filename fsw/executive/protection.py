@@ -106,19 +106,13 @@ def apply_decision(
 
 def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: JointEstimate) -> MoveOutcome:
     """Stop move or planning as a commanded stop does; a move that already stops is left as it is."""
-    mode, planning, sequence, move, evrs = (
-        before.mode,
-        before.planning,
-        before.sequence,
-        before.move,
-        decision.evrs,
-    )
-    if planning is not None:
-        mode = planning.rest_mode
-    if sequence is not None:
-        evrs = (*evrs, CommandAborted(sequence.command))
-    elif planning is not None:
-        evrs = (*evrs, CommandAborted(command_name(planning.command)))
+    mode, move, evrs = before.mode, before.move, decision.evrs
+    if before.sequence is not None:
+        evrs = (*evrs, CommandAborted(before.sequence.command))
+    elif before.planning is not None:
+        evrs = (*evrs, CommandAborted(command_name(before.planning.command)))
+    if before.planning is not None:
+        mode = before.planning.rest_mode
     if move is not None and not move.plan.stopped:
         move = stop_early(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
         if move.phase is Phase.SETTLE:
