@@ -128,8 +128,8 @@ def summary(runs: list[ToolRun]) -> Document:
         "interval 95 %": [*clopper_pearson(completed, len(accepted))],
         "lost_contact": sum(ContactLost(run.tool).message in run.faults for run in accepted),
         "refused": len(runs) - len(accepted),
-        "force_N": [min(run.force_N for run in accepted), max(run.force_N for run in accepted)],
-        "lateral_mm": max(run.lateral_mm for run in accepted),
+        "force_N": sorted(run.force_N for run in accepted),
+        "lateral_mm": sorted(run.lateral_mm for run in accepted),
         "failed": [asdict(run) for run in accepted if not run.completed],
     }
 
@@ -146,7 +146,7 @@ def campaign(
         only: Tools, with commas; all if empty.
     """
     tools = tuple(only.split(",")) if only else arm_named("nominal").params.tool_names
-    jobs = [("nominal", (tool,), nominal) for tool in tools]
+    jobs: list[tuple[str, tuple[str, ...], int]] = [("nominal", (tool,), nominal) for tool in tools]
     jobs += [(f"calibrated:{context.seed + k + 1}", tools, each) for k in range(calibrated)]
     runs = [run for arm in context.each(one_arm, jobs, "arms and tools") for run in arm]
     table = {tool: summary([run for run in runs if run.tool == tool]) for tool in tools}
