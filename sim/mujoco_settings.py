@@ -78,7 +78,10 @@ INTEGRAL_LIMIT: Final = 8
 """Index of `Imax` in its dynamic parameters."""
 BUS_V: Final = 28.0
 LEAST_GAIN_SHARE: Final = 1e-9
-"""Gains of a servo without power, as a share: MuJoCo fails at 0, where a dcmotor would have no integral."""
+"""Gains of a servo without power, or the constant of a motor without field, as a share: MuJoCo fails at 0.
+
+A dcmotor would have no integral, or a current of no torque over no constant.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

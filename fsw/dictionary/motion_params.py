@@ -165,7 +165,7 @@ class MonitorParams:
     tilt_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a larger turn."""
     contact_persistence: Annotated[int, Limits(1, 640)]
-    """Cycles in which a tool that presses has no closed switch."""
+    """Cycles in which a tool that presses with more than its holding force has no closed switch."""
     preload_error_N: Annotated[float, Limits(1.0, 500.0)]
     """Largest difference between commanded force and force estimated from the wind-up of the joints."""
     preload_persistence: Annotated[int, Limits(1, 640)]

@@ -312,6 +312,19 @@ class Params:
             for tool in self.tools
         }
 
+    @property
+    def holding_force_N(self) -> dict[str, float]:
+        """Return the believed force that keeps each tool in contact.
+
+        A force that is shared evenly closes the switches of a tool last: at that of one switch times their
+        number. The true force may be less than believed by the least bound of its error, for friction of the
+        outputs takes as much as so small a force.
+        """
+        return {
+            tool: len(switches) * self.motion.switch_force_N + self.preload.error_N
+            for tool, switches in self.tool_switches.items()
+        }
+
 
 def digest(params: Params) -> str:
     """Compute the SHA-256 of the parameter values; equal values give equal digests."""

@@ -85,7 +85,6 @@ from fsw.motion.plan import Plan, Refusal
 from fsw.motion.preload import (
     PressPlan,
     anchor_contact,
-    holding_force_N,
     locate_by_resolvers,
     model_contact,
     plan_preload,
@@ -230,8 +229,8 @@ def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
     After a fault in a guarded move, in a retraction or in contact, the arm may touch, even with all switches
     open: no free move is allowed. A tool that pressed may still press. A stowed arm may only unstow.
     """
-    fault = context.state.fault
-    if context.state.preload is not None and context.state.preload.force_N > holding_force_N(config):
+    fault, preload = context.state.fault, context.state.preload
+    if preload is not None and preload.force_N > config.params.holding_force_N[preload.tool]:
         return ModeEvent.CLEAR_PRESSED
     if context.closed.any() or (fault is not None and fault.may_touch):
         return ModeEvent.CLEAR_TOUCHING

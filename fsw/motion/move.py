@@ -14,7 +14,7 @@ import numpy as np
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceEstimated, Preloaded
-from fsw.dictionary.faults import NoContact, NotSettled
+from fsw.dictionary.faults import ContactLost, NoContact, NotSettled
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.estimate.reference import HardstopFit
@@ -37,7 +37,6 @@ from fsw.motion.preload import (
     PreloadChange,
     PreloadState,
     PressPlan,
-    holding_force_N,
     model_contact,
     plan_preload,
     preload_limit_A,
@@ -132,7 +131,7 @@ def advance_move(
         case Phase.PLAN:
             return _plan_leg(config, move, joints)
         case Phase.SETTLE:
-            return _settle(config, move, joints)
+            return _settle(config, move, joints, sensors)
         case Phase.BRAKE:
             if move.ticks < config.brake_ticks:
                 return MoveUpdate(_next_cycle(move, move.setpoint))
@@ -225,7 +224,7 @@ def _press_on_contact(
     touch = model_contact(config, stopped_joints, tool)
     # in one leg, as if the stiffness were known: even on a stiffer arm the holding force stays small
     sure = replace(touch, force_ratio_std=ESTIMATED_RATIO_STD)
-    work = plan_preload(config, stopped_joints, sure, holding_force_N(config))
+    work = plan_preload(config, stopped_joints, sure, config.params.holding_force_N[tool])
     return MoveUpdate(_enter_phase(replace(move, next_leg=work), Phase.PLAN), (made,))
 
 
@@ -319,16 +318,20 @@ def _travel(move: Move, time_s: float) -> float:
     return move.plan.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
 
 
-def _settle(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
-    motion = config.params.motion
+def _settle(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> MoveUpdate:
+    """Wait until the motors rest at their set-points, and a guarded tool has a switch closed."""
+    motion, tool = config.params.motion, move.plan.guarded_tool
     error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
     still = np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
-    settled_ticks = move.settled_ticks + 1 if still and error.max() < motion.settle_error_rad else 0
+    touches = tool is None or any(sensors.switch_closed[k] for k in config.protection.tool_switches[tool])
+    rests = still and error.max() < motion.settle_error_rad
+    settled_ticks = move.settled_ticks + 1 if rests and touches else 0
     if settled_ticks >= config.settle_ticks:
         return MoveUpdate(_enter_phase(move, Phase.BRAKE))
     if move.ticks >= config.settle_timeout_ticks:
         joint = Joint(int(error.argmax()))
-        return MoveUpdate(move, (NotSettled(joint, float(error[joint])),))
+        fault = NotSettled(joint, float(error[joint])) if tool is None or touches else ContactLost(tool)
+        return MoveUpdate(move, (fault,))
     return MoveUpdate(replace(move, settled_ticks=settled_ticks, ticks=move.ticks + 1))
 
 

@@ -117,11 +117,6 @@ class PreloadChange:
         return replace(self.start, model_N=self.start.model_N + float(np.sign(self.change_N)) * travelled_N)
 
 
-def holding_force_N(config: Config) -> float:
-    """Compute the force that keeps a tool in contact: one step more than the force that closes its switch."""
-    return config.params.motion.switch_force_N + config.params.preload.step_N
-
-
 def model_contact(config: Config, joints: JointEstimate, tool: str) -> PreloadState:
     """Model the preload of a tool that has just touched with the force that closes its switch.
 

@@ -57,10 +57,11 @@ def check_contact_kept(
 ) -> tuple[int, tuple[Evr, ...]]:
     """Check that a tool that presses has a switch closed; count the cycles in a row without one.
 
-    One closed switch is enough, so that the other may be dead. With less force than the smallest step of a
-    press a switch may well be open.
+    One closed switch is enough, so that another may be dead. With the holding force or less all may be open
+    for a while: a touch waits for them at its end. The persistence is as long as a gear takes to cross its
+    backlash, for while it does, the arm may press with less than is believed.
     """
-    is_firm = press.force_N > bounds.press_step_N
+    is_firm = press.force_N > bounds.holding_force_N[press.tool]
     if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):
         return 0, ()
     lost = count + 1 >= bounds.monitors.contact_persistence

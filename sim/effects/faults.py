@@ -13,7 +13,7 @@ from fsw.messages import Sensors
 from sim.effects.effect import Hardware, ParameterSpec, Timed, with_element
 from sim.effects.environment import PowerLoss
 from sim.frames import FLIP, gravity_in_rover
-from sim.mujoco_settings import MOTOR_CONSTANT
+from sim.mujoco_settings import LEAST_GAIN_SHARE, MOTOR_CONSTANT
 from sim.plant import Plant
 
 SensorName = Literal[
@@ -145,17 +145,20 @@ class BrakeStuck(Timed):
 
 @dataclass(frozen=True, slots=True)
 class WeakMotor(Timed):
-    """Motor that makes less torque of a current; the current reading is right."""
+    """Motor that makes less torque of a current; the current reading is right.
+
+    At a factor of 0 it makes a billionth: the current is the torque over the constant.
+    """
 
     joint: Joint
     factor: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=-0.5, neutral=1.0)] = 0.5
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        actuator = plant.at.actuators[self.joint]
-        plant.model.actuator_gainprm[actuator, MOTOR_CONSTANT] *= self.factor
-        plant.model.actuator_forcerange[actuator] *= self.factor
+        actuator, share = plant.at.actuators[self.joint], max(self.factor, LEAST_GAIN_SHARE)
+        plant.model.actuator_gainprm[actuator, MOTOR_CONSTANT] *= share
+        plant.model.actuator_forcerange[actuator] *= share
         constant = plant.torque_constant_Nm_A
-        plant.torque_constant_Nm_A = with_element(constant, self.joint, self.factor * constant[self.joint])
+        plant.torque_constant_Nm_A = with_element(constant, self.joint, share * constant[self.joint])
         return hardware
 
 

@@ -125,7 +125,8 @@ class LinkBending(_AddedCompliance):
 class LinkCreep(EachCycle):
     """Bending of a link that grows with the time under load, from none at the begin of a run.
 
-    It approaches compliance times load exponentially.
+    It approaches compliance times load exponentially. In a cycle the spring creeps by its own strain at most:
+    farther on, its load would have the other sign, and the arm would swing up from cycle to cycle.
     """
 
     frame: Frame
@@ -144,7 +145,9 @@ class LinkCreep(EachCycle):
         stiffness_Nm_rad = float(plant.model.jnt_stiffness[plant.model.dof_jntid[at]])
         load_Nm = stiffness_Nm_rad * (float(plant.data.qpos[at]) - state.angle_rad)
         share = -float(np.expm1(-max(now_s - state.time_s, 0.0) / self.time_s))
-        angle_rad = state.angle_rad + share * (self.compliance_rad_Nm * load_Nm - state.angle_rad)
+        unloaded = max(share * self.compliance_rad_Nm * stiffness_Nm_rad, 1.0)
+        crept_rad = share * (self.compliance_rad_Nm * load_Nm - state.angle_rad) / unloaded
+        angle_rad = state.angle_rad + crept_rad
         plant.model.qpos_spring[at] = angle_rad
         return Creep(now_s, angle_rad), Disturbance()
 

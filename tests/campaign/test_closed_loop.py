@@ -10,8 +10,10 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import PlacementRun, random_placement
 from sim.scenario.file import built_in_scenarios
 from sim.sequence import Outcome
+from tests.tools import TOOLS, WITH_SWITCHES
 from validation.campaigns import Context
 from validation.commands import campaign
+from validation.instruments import bring_tool
 from validation.obstacles import STRAIGHT_N, draw, meet
 from validation.scenarios import run_scenario_on
 from validation.tool_change import ToolChangeErrors, one_target
@@ -29,6 +31,16 @@ def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
     """Fly an as-built arm with the nominal parameters."""
     ran = run_scenario_on("as-built:1", name, true_reference(arm_named("as-built:1")))
     assert (ran.outcome, ran.failed) == ("done", ())
+
+
+@pytest.mark.parametrize("tool", slow_but(TOOLS, "mahli"))
+def test_every_tool_comes_to_where_it_works_first(tool):
+    run = bring_tool("calibrated:1", true_reference(arm_named("calibrated:1")), tool, 1)
+    assert run.accepted
+    assert run.completed
+    assert run.faults == ()
+    assert run.lateral_mm < 5.0
+    assert (run.force_N > 0.0) == (tool in WITH_SWITCHES)
 
 
 @pytest.mark.slow

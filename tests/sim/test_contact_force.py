@@ -30,6 +30,7 @@ from sim.placement import (
     PlacementResult,
     PlacementRun,
     Preview,
+    place_command,
     placement_commands,
     preview_placement,
 )
@@ -347,6 +348,25 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there():
     problem = preview_placement(through_the_rover, world, placement, stowed=True).problem
     assert problem is not None
     assert re.search(r"^the upper arm .* on the way from the stowed to the ready pose$", problem), problem
+
+
+EVEN: tuple[Vector3, Vector3] = ((1.876, -0.266, -0.704), (-0.591, 0.157, -0.791))
+"""Face on which the four pads of the MAHLI share the force evenly."""
+
+
+@pytest.mark.parametrize("dead", slow_but([None, *TOOL_SWITCHES["mahli"]], None))
+def test_the_mahli_touches_with_all_switches_that_live_where_its_pads_share_the_force(dead):
+    world = replace(tilted_world(-10.0, -16.7), surface=Surface(*EVEN))
+    found = preview_placement(NOMINAL, world, Placement("mahli", *EVEN))
+    dead_switches = [] if dead is None else [switch_index(dead)]
+    faults = tuple(SensorFault(NOW_S, "switch_closed", "biased", one, -1.0) for one in dead_switches)
+    start, known = joints5(found.standoff_rad), lab.true_reference(NOMINAL)
+    loop = ClosedLoop(Setup(NOMINAL, world, start, reference=known, effects=faults))
+    *_, last = run_sequence(loop, (place_command(found.placement),))
+    closed = [switch_index(switch) for switch in TOOL_SWITCHES["mahli"] if switch != dead]
+    assert CommandCompleted("PlaceTool") in last.outputs.evrs
+    assert loop.braked
+    assert np.flatnonzero(last.sensors.switch_closed).tolist() == closed
 
 
 @pytest.mark.slow

@@ -11,12 +11,14 @@ from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import CyclesMissed, GravityImplausible, SensorFrozen, SensorNotFinite
-from fsw.motion.preload import holding_force_N
+from fsw.motion.move import Phase
 from helpers.marks import slow_but
 from tests.fsw.executive.faults import lab
 from tests.fsw.protect.test_readings import BAD, QUIET, corrupted
 from tests.fsw.rig import MARS_R_m_s2, Rig, facing, floats, in_limits, in_the_open, levers_m, made_once
 from tests.tools import TOOL_SWITCHES, TOOLS, WITH_SWITCHES
+
+HOLDING_N = lab.CONFIG.params.holding_force_N
 
 
 @pytest.mark.parametrize("tool", slow_but(WITH_SWITCHES, "apxs", "drill"))
@@ -31,7 +33,7 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         assert 0 < evr.travel_m < 0.05
         rig.run(**lab.closed(switch))
         assert rig.state.preload.tool == tool
-        assert rig.state.preload.force_N == pytest.approx(holding_force_N(lab.CONFIG))
+        assert rig.state.preload.force_N == pytest.approx(HOLDING_N[tool])
         assert rig.outputs.joint.planned_backlash_rad == pytest.approx(
             rig.outputs.joint.backlash_rad, abs=1e-5
         )
@@ -41,12 +43,26 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         assert not lab.found(rig, evrs.FaultResponse)
 
 
-def test_a_contact_that_is_lost_while_it_is_made_firm_stops_the_move():
+def test_a_touch_that_ends_with_all_switches_open_has_lost_contact_and_is_no_more_than_that():
     rig = lab.in_guarded_motion("apxs")
     rig.cycle(**lab.closed("apxs_1"))
     rig.run()
-    assert lab.found(rig, faults.ContactLost)
+    assert lab.found(rig, faults.Fault) == [faults.ContactLost("apxs")]
     assert evrs.CommandAborted("GuardedMove") in rig.evrs
+
+
+@pytest.mark.parametrize("tool", WITH_SWITCHES)
+def test_the_switches_of_a_touch_may_open_until_its_end_and_one_of_them_completes_it(tool):
+    rig = lab.in_guarded_motion(tool)
+    rig.cycle(**lab.closed(TOOL_SWITCHES[tool][0]))
+    while rig.state.move.phase is not Phase.SETTLE:
+        rig.cycle()
+    for _ in range(2 * lab.CONFIG.settle_ticks):
+        rig.cycle()
+    assert evrs.CommandCompleted("GuardedMove") not in rig.evrs
+    rig.run(**lab.closed(TOOL_SWITCHES[tool][-1]))
+    assert evrs.CommandCompleted("GuardedMove") in rig.evrs
+    assert not lab.found(rig, faults.Fault)
 
 
 @made_once
@@ -63,7 +79,7 @@ def test_a_stop_while_a_contact_is_made_firm_keeps_what_it_presses_with():
         rig.cycle(**lab.closed("apxs_1"))
     rig.run(Stop(), **lab.closed("apxs_1"))
     assert rig.state.mode is Mode.GUARDED
-    assert lab.CONFIG.params.motion.switch_force_N <= rig.state.preload.force_N < holding_force_N(lab.CONFIG)
+    assert lab.CONFIG.params.motion.switch_force_N <= rig.state.preload.force_N < HOLDING_N["apxs"]
 
 
 def test_a_guarded_move_that_touches_before_it_moves_presses_no_further_and_can_be_released():
