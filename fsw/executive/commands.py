@@ -46,6 +46,7 @@ from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import forget_joint
+from fsw.executive.backlash import assess_backlash
 from fsw.executive.context import (
     EVENT_OF,
     TRANSITIONS,
@@ -206,8 +207,12 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
         check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
     )
     problem = problem or check_mode(context, EVENT_OF[type(command)])
+    evrs: tuple[Evr, ...] = ()
     if isinstance(command, ToolChange):
         problem = problem or _check_tool_change(config, context, command)
+        if problem is None:
+            undecided = assess_backlash(config, state.joints, state.tool)
+            problem, evrs = undecided.refusal(config.params.motion.spot_error_m), undecided.events
     if isinstance(command, Dock):
         problem = problem or _check_other_tool(context, None)
     if problem is not None:
@@ -216,10 +221,9 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
     planned = plan_sequence(config, state.joints, state.tool, command, surface)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)
-    evrs: tuple[Evr, ...] = ()
     if isinstance(command, ToolChange):
         spot = locate_spot(config, state.joints, state.tool, command)
-        evrs = (SpotSet(state.tool, *vector3(spot.p_m)),)
+        evrs = (SpotSet(state.tool, *vector3(spot.p_m)), *evrs)
     sequence = Sequence(command_name(command), planned.commands)
     return _accept(context, command, *evrs, sequence=sequence, surface=surface)
 
