@@ -150,7 +150,7 @@ def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array | str
     The second value is the distance [mm] that events on undecided backlash named.
     """
     evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
-    named_mm = sum(evr.error_mm for evr in evrs if isinstance(evr, BacklashUndecided))
+    named_mm = 1e3 * sum(evr.error_m for evr in evrs if isinstance(evr, BacklashUndecided))
     problem = not_completed(commands[-1], evrs)
     if problem is not None:
         return problem, named_mm

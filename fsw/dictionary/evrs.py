@@ -185,12 +185,12 @@ class BacklashUndecided(Evr):
     severity = Severity.WARNING_LO
     text = (
         "{e.joint.name}: backlash undecided, the output may be {e.error_rad:.5f} rad from its estimate: "
-        "{e.error_mm:.1f} mm at {e.tool}"
+        "{e.error_m:.4f} m at {e.tool}"
     )
     joint: Joint
     error_rad: float
     tool: ToolName
-    error_mm: float
+    error_m: float
     """Largest distance of the tool from its estimate, across its axis."""
 
 

@@ -32,9 +32,7 @@ class UndecidedBacklash:
     def events(self) -> tuple[BacklashUndecided, ...]:
         """Return an event for each joint."""
         return tuple(
-            BacklashUndecided(
-                joint, float(self.error_rad[joint]), self.tool, 1e3 * float(self.error_m[joint])
-            )
+            BacklashUndecided(joint, float(self.error_rad[joint]), self.tool, float(self.error_m[joint]))
             for joint in self.joints
         )
 

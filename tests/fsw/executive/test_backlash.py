@@ -58,7 +58,8 @@ def test_a_tool_change_tells_before_it_moves_which_joint_is_undecided_and_how_fa
     (told,) = [evr for evr in rig.evrs if isinstance(evr, BacklashUndecided)]
     assert (told.joint, told.tool) == (joint, "apxs")
     assert told.error_rad == pytest.approx(width_rad)
-    assert told.error_mm == pytest.approx(1e3 * moved_across_m(rig, joint, width_rad), rel=0.02)
+    assert told.error_m == pytest.approx(moved_across_m(rig, joint, width_rad), rel=0.02)
+    assert f"{told.error_m:.4f} m at apxs" in told.message
     assert CommandAccepted("ToolChange") in rig.evrs
     assert not rig.outputs.drive.setpoint_rate_rad_s.any()
 
