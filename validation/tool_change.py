@@ -19,7 +19,7 @@ import numpy as np
 
 from fsw.dictionary.commands import Command, Retract, ToolChange
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.evrs import BacklashUndecided, CommandCompleted, Evr, Severity
+from fsw.dictionary.evrs import BacklashUndecided, CommandAccepted, CommandCompleted, Evr, Severity
 from fsw.dictionary.types import AUTO, joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
@@ -111,21 +111,23 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, reference, effects))
     place = place_command(preview.placement)
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
-    first, _ = _touch(loop, (place,))
-    if isinstance(first, str):
-        return NotChanged("first tool not placed", first)
+    first = _touch(loop, (place,))
+    if first.problem is not None:
+        return NotChanged("first tool not placed", first.problem)
     again = replace(place, tool=SECOND, branch=AUTO)
     changing = loop.fork()
-    relative, named_mm = _touch(changing, (ToolChange(SECOND),))
-    if isinstance(relative, str) and changing.state.mode is loop.state.mode:
-        return NotChanged("refused", relative, _is_reachable(loop))
-    if isinstance(relative, str):
-        return NotChanged("not completed", relative)
-    absolute, _ = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
-    if isinstance(absolute, str):
-        return NotChanged("absolute not placed", absolute)
-    from_spot_mm, absolute_mm = (_lateral_mm(one, axis) for one in (relative - first, absolute - target))
-    return ToolChangeErrors(from_spot_mm=from_spot_mm, absolute_mm=absolute_mm, named_mm=named_mm)
+    relative = _touch(changing, (ToolChange(SECOND),))
+    if relative.problem is not None and not relative.is_accepted:
+        return NotChanged("refused", relative.problem, _is_reachable(loop))
+    if relative.problem is not None:
+        return NotChanged("not completed", relative.problem)
+    absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
+    if absolute.problem is not None:
+        return NotChanged("absolute not placed", absolute.problem)
+    from_spot_mm, absolute_mm = (
+        _lateral_mm(one, axis) for one in (relative.p_R_m - first.p_R_m, absolute.p_R_m - target)
+    )
+    return ToolChangeErrors(from_spot_mm=from_spot_mm, absolute_mm=absolute_mm, named_mm=relative.named_mm)
 
 
 def _is_reachable(loop: ClosedLoop) -> bool:
@@ -144,18 +146,29 @@ def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
     return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
 
 
-def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array | str, float]:
-    """Run commands; return the true position of the touching tool, or the warning of a failure.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Touch:
+    """Commands that end with a touch."""
 
-    The second value is the distance [mm] that events on undecided backlash named.
-    """
+    p_R_m: Array
+    """True position of the last commanded tool in RMECH, (3,)."""
+    problem: str | None
+    """Warning that ended the last command early; None if it was completed."""
+    is_accepted: bool
+    """True if the last command was accepted."""
+    named_mm: float
+    """Distance that events on undecided backlash named."""
+
+
+def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> _Touch:
+    """Run commands that end with a touch."""
     evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
-    named_mm = 1e3 * sum(evr.error_m for evr in evrs if isinstance(evr, BacklashUndecided))
-    problem = not_completed(commands[-1], evrs)
-    if problem is not None:
-        return problem, named_mm
-    touching: Array = loop.plant.truth().p_RoTo_R_m[loop.plant.tools.index(loop.state.tool)]
-    return touching, named_mm
+    return _Touch(
+        p_R_m=loop.plant.truth().p_RoTo_R_m[loop.plant.tools.index(loop.state.tool)],
+        problem=not_completed(commands[-1], evrs),
+        is_accepted=CommandAccepted(type(commands[-1]).__name__) in evrs,
+        named_mm=1e3 * sum(evr.error_m for evr in evrs if isinstance(evr, BacklashUndecided)),
+    )
 
 
 def _lateral_mm(difference_m: Array, axis: Array) -> float:
@@ -181,8 +194,10 @@ def summary(tried: list[ToolChangeErrors | NotChanged]) -> Document:
     rows = zip(("from_spot_mm", "absolute_mm"), three_sigma, table.max(axis=0), strict=True)
     errors = {name: {"three_sigma": float(three), "max": float(most)} for name, three, most in rows}
     told = [one.named_mm for one in changes if one.named_mm > 0]
+    near = sum(one.from_spot_mm <= NEAR_MM for one in changes)
     named = {
-        "near": sum(one.from_spot_mm <= NEAR_MM for one in changes),
+        "near": near,
+        "near_share": near / len(changes),
         "named": len(told),
         "named_median_mm": float(np.median(told)) if told else 0.0,
         "neither_near_nor_told": [asdict(one) for one in changes if not one.is_near_or_told],
@@ -197,10 +212,10 @@ def campaign(context: Context, calibrated: int = 50, as_built: int = 20, poses: 
         arms = context.each(one_arm, ((kind, context.seed + k, poses) for k in range(count)), f"{kind} arms")
         tried[kind] = [change for arm in arms for change in arm]
     measured = {kind: summary(found) for kind, found in tried.items() if found}
-    return {**measured, "in_bounds": _is_in_bounds(tried["calibrated"])}
+    return {**measured, "in_bounds": tool_changes_in_bounds(tried["calibrated"])}
 
 
-def _is_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
+def tool_changes_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
     """Return whether changes end near the spot or are told, and whether few fail or are refused in reach."""
     changes = [one for one in tried if isinstance(one, ToolChangeErrors)]
     near = sum(one.from_spot_mm <= NEAR_MM for one in changes) >= LEAST_NEAR * len(changes)
