@@ -6,13 +6,21 @@ from fsw.config import CYCLE_S, Config, configure_at
 from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.estimate.joints import JointEstimate, LoadEstimate, apply_calibration, update_joints, update_load
+from fsw.estimate.joints import (
+    JointEstimate,
+    LoadEstimate,
+    apply_calibration,
+    locate_at_rest,
+    note_braked,
+    update_joints,
+    update_load,
+)
 from fsw.executive.commands import continue_planning, continue_sequence, handle
 from fsw.executive.context import CommandContext, known_names, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors, ToolChannels
-from fsw.motion.move import Phase, advance_move, command_actuators, move_preload
+from fsw.motion.move import Move, Phase, advance_move, command_actuators, move_preload
 from fsw.motion.preload import PreloadState
 from fsw.protect.inputs import check_readings
 from fsw.protect.monitors import protect
@@ -142,12 +150,26 @@ def _move(
         result = advance_move(config, move, joints, load, sensors)
         if move.plan.preload_change is not None:
             preload = move_preload(result.move or move)
-        move, evrs = result.move, result.evrs
+        last, move, evrs = move, result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode
         backlash_rad = backlash_rad if result.backlash_rad is None else result.backlash_rad
         if result.found_hardstop is not None:
             joint, found = result.found_hardstop
             before, joints = joints, apply_calibration(config, joints, load.torque_Nm, joint, found)
             evrs = (found.to_event(joint, float((joints.motor_rad - before.motor_rad)[joint])), *evrs)
+        joints = _locate_braked(config, last, move, joints)
     outcome = MoveOutcome(mode, state.planning, move, state.sequence, state.fault, evrs)
     return outcome, joints, preload, backlash_rad
+
+
+def _locate_braked(config: Config, last: Move, move: Move | None, joints: JointEstimate) -> JointEstimate:
+    """Locate the outputs inside their backlash by the resolvers where a move ends, brakes on.
+
+    A move that was stopped may have been braked while its motors turned; the next one locates the outputs.
+    """
+    if last.plan.stopped:
+        return joints
+    if move is None:
+        return locate_at_rest(config, joints)
+    is_braked = move.phase is Phase.BRAKE and last.phase is not Phase.BRAKE
+    return note_braked(joints) if is_braked else joints

@@ -179,6 +179,22 @@ class SpotSet(Evr):
 
 
 @dataclass(frozen=True, slots=True)
+class BacklashUndecided(Evr):
+    """A tool change starts from a spot that a joint on an unknown flank may have put elsewhere."""
+
+    severity = Severity.WARNING_LO
+    text = (
+        "{e.joint.name}: backlash undecided, the output may be {e.error_rad:.5f} rad from its estimate: "
+        "{e.error_m:.4f} m at {e.tool}"
+    )
+    joint: Joint
+    error_rad: float
+    tool: ToolName
+    error_m: float
+    """Largest distance of the tool from its estimate, across its axis."""
+
+
+@dataclass(frozen=True, slots=True)
 class ParamSet(Evr):
     """A parameter has a new value; the digest is of all parameters."""
 

@@ -44,6 +44,8 @@ class MotionParams:
     """Longest straight move."""
     line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
     """Largest angle between tool axis and approach at the start of a guarded move."""
+    spot_error_m: Annotated[float, Limits(0.0, 0.1)]
+    """Largest error of a touched spot, from undecided backlash, with which a tool change begins."""
     load_period_cycles: Annotated[int, Limits(1, 640)]
     """Number of cycles between two estimates of load, backlash side, temperature and tool pose."""
 

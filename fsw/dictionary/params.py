@@ -204,6 +204,8 @@ class JointParams:
     """Torque constant of the motor, at the output."""
     hardstop_rad: Angle
     """Output angle at the negative hardstop."""
+    upper_hardstop_rad: Angle
+    """Output angle at the positive hardstop, on which no joint is homed."""
     hardstop_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
     """Stiffness of the hardstop, without the gear."""
     hardstop_press_Nm: Annotated[float, Limits(1.0, 2000.0)]

@@ -82,6 +82,8 @@ def check_arm(params: Params) -> Iterator[str]:
     yield from _check_boresights(params.tools)
     yield from _check_poses(params)
     yield from _check_hardstops(params)
+    yield from _check_homing(params)
+    yield from _check_motion(params)
     yield from _check_geometry(params)
 
 
@@ -149,7 +151,10 @@ def _check_poses(params: Params) -> Iterator[str]:
 
 
 def _check_hardstops(params: Params) -> Iterator[str]:
-    """Yield a sentence for each hardstop too far from the soft limit, or pressed too hard."""
+    """Yield a sentence for each hardstop too near to a soft limit or too far from it, or pressed too hard.
+
+    A motor may pass a soft limit by the margin before it is stopped.
+    """
     room_rad = params.monitors.soft_limit_margin_rad
     for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
         low, high = joint.soft_min_rad - MAX_STOP_DEPTH_RAD, joint.soft_min_rad - room_rad
@@ -158,12 +163,64 @@ def _check_hardstops(params: Params) -> Iterator[str]:
                 f"joints.{field.name}.hardstop_rad: {joint.hardstop_rad} is not between {room_rad} and "
                 f"{MAX_STOP_DEPTH_RAD} below soft_min_rad, {low:.6g} .. {high:.6g}"
             )
+        most_rad = joint.upper_hardstop_rad - room_rad
+        if joint.soft_max_rad > most_rad:
+            yield (
+                f"joints.{field.name}.soft_max_rad: {joint.soft_max_rad} is above {most_rad:.6g}, "
+                f"{room_rad} below upper_hardstop_rad"
+            )
         most_Nm = MAX_RATED_SHARE * joint.hardstop_rated_Nm
         if joint.hardstop_press_Nm > most_Nm:
             yield (
                 f"joints.{field.name}.hardstop_press_Nm: {joint.hardstop_press_Nm} is above {most_Nm:g}, "
                 f"{MAX_RATED_SHARE} of hardstop_rated_Nm"
             )
+
+
+def _check_homing(params: Params) -> Iterator[str]:
+    """Yield a sentence for each joint that could not be homed: no way back, or no slower second search."""
+    stops = params.hardstop
+    for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
+        least_rad = joint.backlash_rad + stops.lead_rad
+        if stops.retreat_rad <= least_rad:
+            yield (
+                f"hardstop.retreat_rad: {stops.retreat_rad} is not above {least_rad:g}, backlash of the "
+                f"{field.name} and lead_rad; the joint stays on its hardstop"
+            )
+        coarse_rad_s = stops.coarse_speed_share * joint.speed_rad_s
+        if stops.fine_speed_rad_s > coarse_rad_s:
+            yield (
+                f"hardstop.fine_speed_rad_s: {stops.fine_speed_rad_s} is above {coarse_rad_s:g}, the coarse "
+                f"speed of the {field.name}"
+            )
+
+
+def _check_motion(params: Params) -> Iterator[str]:
+    """Yield a sentence for each combination with which every move, or every touch, would end in a fault."""
+    motion, monitors, preload = params.motion, params.monitors, params.preload
+    if motion.settle_timeout_s <= motion.settle_time_s:
+        yield (
+            f"motion.settle_timeout_s: {motion.settle_timeout_s} is not above settle_time_s "
+            f"{motion.settle_time_s}; no move would settle"
+        )
+    for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
+        count_rad = 2 * math.pi / (joint.gear_ratio * joint.encoder_counts_per_turn)
+        if motion.settle_error_rad < count_rad:
+            yield (
+                f"motion.settle_error_rad: {motion.settle_error_rad} is below {count_rad:.3g}, an encoder "
+                f"count of the {field.name}; no move would settle"
+            )
+    if monitors.guarded_force_N <= motion.switch_force_N:
+        yield (
+            f"monitors.guarded_force_N: {monitors.guarded_force_N} is not above motion.switch_force_N "
+            f"{motion.switch_force_N}; every touch would be a fault"
+        )
+    held_N = motion.switch_force_N + preload.step_N
+    if held_N > preload.max_force_N:
+        yield (
+            f"preload.max_force_N: {preload.max_force_N} is below {held_N:g}, motion.switch_force_N and "
+            "preload.step_N, with which a tool is kept in contact"
+        )
 
 
 def _check_geometry(params: Params) -> Iterator[str]:

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Flags
 
 LEAST, LIKELY, MOST = range(3)
 """Columns of interval estimates: lowest, likely and highest."""
@@ -50,6 +50,19 @@ def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> Gear
     return GearBounds(
         lowest_rad=np.where(least > 0, half, -half) + least / stiffness,
         highest_rad=np.where(most < 0, -half, half) + most / stiffness,
+    )
+
+
+def include_gear(bounds: GearBounds, gear_rad: Array, where: Flags) -> GearBounds:
+    """Widen the bounds of some joints to include gear angles (5, 3) that were measured.
+
+    Args:
+        where: Joints whose gear angle was measured, shape (5,).
+    """
+    lowest, highest = bounds.lowest_rad, bounds.highest_rad
+    return GearBounds(
+        lowest_rad=np.where(where[:, None], np.minimum(lowest, gear_rad), lowest),
+        highest_rad=np.where(where[:, None], np.maximum(highest, gear_rad), highest),
     )
 
 

@@ -17,12 +17,21 @@ from fsw.estimate.gear import (
     bound_gear,
     bound_loads,
     gear_after_motor_turn,
+    include_gear,
     locate_in_backlash,
 )
 from fsw.estimate.reference import HardstopFit, Reference
+from fsw.estimate.resolver_baseline import (
+    RESOLVER_GAIN,
+    ResolverBaseline,
+    bound_drift,
+    error_on_brakes,
+    narrow_gear,
+    new_baseline,
+)
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, load_arm, push_torque, settle_output
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Flags
 from fsw.messages import Sensors, ToolChannels
 
 GRAVITY_FILTER_S: Final = 1.0
@@ -30,9 +39,6 @@ GRAVITY_FILTER_S: Final = 1.0
 GRAVITY_GAIN: Final = np.array(1.0 / (GRAVITY_FILTER_S * CYCLE_HZ))
 ANYWHERE_RAD: Final = 1.0
 """Bound of the gear angles before a load is known."""
-RESOLVER_FILTER_S: Final = 0.25
-"""Time constant of the smoothing of the resolver error."""
-RESOLVER_GAIN: Final = np.array(1.0 / (RESOLVER_FILTER_S * CYCLE_HZ))
 PER_S: Final = np.array(float(CYCLE_HZ))
 """Cycles per second."""
 
@@ -57,6 +63,8 @@ class JointEstimate:
     """Resolver less estimated output and learned bias, smoothed, (5,)."""
     imu_R_m_s2: Array
     """Gravity as the IMU reads it, smoothed, (3,)."""
+    baseline: ResolverBaseline
+    """What the resolvers read where sides of the backlash were last known."""
     down_R: Array | None = None
     """Direction of gravity that the ground has set, (3,); None if it has not."""
 
@@ -105,6 +113,7 @@ def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimat
         bounds=GearBounds(np.full_like(anywhere, -ANYWHERE_RAD), np.full_like(anywhere, ANYWHERE_RAD)),
         resolver_error_rad=zeros,
         imu_R_m_s2=np.zeros(3),
+        baseline=new_baseline(config),
     )
 
 
@@ -125,6 +134,7 @@ def update_joints(config: Config, last: JointEstimate, sensors: Sensors) -> Join
         bounds=last.bounds,
         resolver_error_rad=last.resolver_error_rad + RESOLVER_GAIN * (error - last.resolver_error_rad),
         imu_R_m_s2=last.imu_R_m_s2 + GRAVITY_GAIN * (sensors.gravity_R_m_s2 - last.imu_R_m_s2),
+        baseline=last.baseline,
         down_R=last.down_R,
     )
 
@@ -154,7 +164,7 @@ def apply_calibration(
     bounds = bound_gear(config, half, bound_loads(config, load_Nm, joints.gravity_R_m_s2))
     gear = np.where(this[:, None], bounds.lowest_rad, joints.gear_rad)
     motor = joints.motor_rad + np.where(this, shift, 0.0)
-    last = joints.reference
+    last, baseline = joints.reference, joints.baseline
     return replace(
         joints,
         reference=Reference(
@@ -169,6 +179,12 @@ def apply_calibration(
         gear_rad=gear,
         bounds=bounds,
         resolver_error_rad=np.where(this, 0.0, joints.resolver_error_rad),
+        baseline=replace(
+            baseline,
+            known_rad=np.where(this, 0.0, baseline.known_rad),
+            known_output_rad=np.where(this, motor + gear[:, LIKELY], baseline.known_output_rad),
+            braked_rad=np.where(this, 0.0, baseline.braked_rad),
+        ),
     )
 
 
@@ -178,8 +194,57 @@ def apply_load(
     """Update the gear angles under newly modelled loads."""
     loads = bound_loads(config, load_Nm, joints.gravity_R_m_s2, more_Nm)
     bounds = bound_gear(config, joints.reference.half_backlash_rad, loads)
+    held = _held_where_located(config, joints)
+    if held.any():
+        bounds = include_gear(bounds, joints.gear_rad, held)
     gear = gear_after_motor_turn(joints.gear_rad, np.zeros_like(load_Nm), bounds)
     return replace(joints, bounds=bounds, gear_rad=gear)
+
+
+def _held_where_located(config: Config, joints: JointEstimate) -> Flags:
+    """Return which outputs are where their resolvers have located them, (5,).
+
+    They stay while the motor rests on its brake and the resolver reads the same: loads that would move them
+    are not those of the arm.
+    """
+    baseline = joints.baseline
+    held: Flags = joints.motor_rad == baseline.located_motor_rad
+    if held.any():
+        change_rad = np.abs(joints.resolver_error_rad - baseline.known_rad)
+        held = held & (change_rad <= bound_drift(config, baseline, joints.output_rad))
+    return held
+
+
+def note_braked(joints: JointEstimate) -> JointEstimate:
+    """Note the resolver errors of the cycle in which a move puts the brakes on, its motors at rest."""
+    return replace(joints, baseline=replace(joints.baseline, braked_rad=joints.resolver_error_rad))
+
+
+def locate_at_rest(config: Config, joints: JointEstimate) -> JointEstimate:
+    """Locate undecided outputs by their resolvers where a move ends; where sides are known, note the errors.
+
+    An output is where its resolver reads it, as far as load and friction allow, and its uncertainty becomes
+    what the resolver may err.
+    """
+    baseline, side = joints.baseline, joints.side
+    error = error_on_brakes(config, baseline, joints.resolver_error_rad)
+    bound = bound_drift(config, baseline, joints.output_rad)
+    located = (side == 0) & joints.reference.calibrated & (joints.uncertainty_rad > bound)
+    gear = narrow_gear(joints.gear_rad, located, error - baseline.known_rad, bound)
+    moved = gear[:, LIKELY] - joints.gear_rad[:, LIKELY]
+    return replace(
+        joints,
+        gear_rad=gear,
+        bounds=include_gear(joints.bounds, gear, located),
+        # estimate and error together are what the resolver reads
+        resolver_error_rad=np.where(located, error - moved, joints.resolver_error_rad),
+        baseline=replace(
+            baseline,
+            known_rad=np.where(side != 0, error, baseline.known_rad),
+            known_output_rad=np.where(side != 0, joints.output_rad, baseline.known_output_rad),
+            located_motor_rad=np.where(located, joints.motor_rad, np.inf),
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,6 +46,7 @@ from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import forget_joint
+from fsw.executive.backlash import assess_backlash
 from fsw.executive.context import (
     EVENT_OF,
     TRANSITIONS,
@@ -249,6 +250,7 @@ def _plan_motion(config: Config, context: CommandContext, command: MotionCommand
             problem = problem or _check_other_tool(context, command.tool)
         case ToolChange():
             problem = problem or _check_tool_change(config, context, command)
+            problem = problem or _check_backlash(config, context)
         case Dock():
             problem = problem or _check_other_tool(context, None)
         case _:
@@ -282,7 +284,8 @@ def _begin_sequence(
     evrs: tuple[Evr, ...] = ()
     if isinstance(command, ToolChange):
         spot = locate_spot(config, state.joints, state.tool, command)
-        evrs = (SpotSet(state.tool, *vector3(spot.p_m)),)
+        undecided = assess_backlash(config, state.joints, state.tool)
+        evrs = (SpotSet(state.tool, *vector3(spot.p_m)), *undecided.events)
     first, *others = planned.commands
     assert isinstance(first, SingleMoveCommand)  # every expansion begins with a move
     begun = _begin_move(config, _accept(context, command, *evrs), first, planned.plans[:1], surface)
@@ -305,6 +308,12 @@ def _check_tool_change(config: Config, context: CommandContext, command: ToolCha
     if in_contact(config, context, context.state.tool):
         return None
     return f"{context.state.tool} touches nothing: there is no spot to go back to"
+
+
+def _check_backlash(config: Config, context: CommandContext) -> str | None:
+    """Check that the spot of the present tool is known well enough, whatever backlash is undecided."""
+    undecided = assess_backlash(config, context.state.joints, context.state.tool)
+    return undecided.refusal(config.params.motion.spot_error_m)
 
 
 def _check_other_tool(context: CommandContext, tool: str | None) -> str | None:

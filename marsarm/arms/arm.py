@@ -214,13 +214,20 @@ def _draw_arm(axes: Any, layout: ArmLayout, vertical: int) -> None:
     draw_outlines(axes, rover, facecolor=svg.SHADE, edgecolor=svg.MUTED)
     arm = project_outlines(shapes.arm, place_shapes(shapes, frames)[:, 0], plane)
     draw_outlines(axes, arm, facecolor=svg.LIGHT, edgecolor=svg.MUTED, alpha=0.35)
-    for number, link in enumerate(LINK_NAMES):
-        X = layout.X_RF[link]
-        p = X.p[list(plane)]
-        _draw_triad(axes, Pose(X.R[list(plane)], p))
-        shift = (8, 14) if number % 2 == 0 else (-34, -28)
-        name = link.title()
-        axes.annotate(name, p, xytext=shift, textcoords="offset points", fontsize=9, bbox=BEHIND_NAME)
+    origins = np.array([layout.X_RF[link].p for link in LINK_NAMES])[:, plane]
+    for link, p, away in zip(LINK_NAMES, origins, directions_away(origins), strict=True):
+        _draw_triad(axes, Pose(layout.X_RF[link].R[list(plane)], p))
+        axes.annotate(
+            link.title(),
+            p,
+            # both views have their vertical axis downward
+            xytext=NAME_DISTANCE_PT * away * (1, -1),
+            textcoords="offset points",
+            fontsize=9,
+            ha="center",
+            va="center",
+            bbox=BEHIND_NAME,
+        )
     p = np.array([X.p for X in layout.X_RF.values()])[:, plane]
     low, high = p.min(axis=0) - MARGIN_M, p.max(axis=0) + MARGIN_M
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -228,6 +235,22 @@ def _draw_arm(axes: Any, layout: ArmLayout, vertical: int) -> None:
         axes.plot([], [], color=colour, linewidth=2.0, label=f"{axis} axis")
 
 
+def directions_away(origins_m: Array) -> Array:
+    """Compute the unit direction (n, 2) of each origin (n, 2) away from the others, mostly the nearest.
+
+    So the name of a frame is nearer to its own origin than to that of another.
+    """
+    # a millimetre more each parts origins that coincide in the picture
+    parted = origins_m + np.arange(len(origins_m))[:, None] * (1e-3, 0.0)
+    between = parted[:, None] - parted
+    square = np.sum(between**2, axis=-1, keepdims=True)
+    away = np.sum(np.divide(between, square**2, out=np.zeros_like(between), where=square > 0), axis=1)
+    directions: Array = away / np.linalg.norm(away, axis=1, keepdims=True)
+    return directions
+
+
+NAME_DISTANCE_PT: Final = 26.0
+"""Distance of a name from the origin of its frame; a name is about as wide."""
 BEHIND_NAME: Final = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1.0}
 """Box that parts a name from the lines behind it."""
 

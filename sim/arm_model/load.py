@@ -109,7 +109,7 @@ def _joint_table(arm: ArmDescription, name: str) -> dict[str, Any]:
     soft_min_rad, soft_max_rad = joint.soft_limits_rad
     given = asdict(actuator) | asdict(joint) | {"soft_min_rad": soft_min_rad, "soft_max_rad": soft_max_rad}
     given["damping_Nms_rad"] *= VISCOUS_COLD
-    given["hardstop_rad"] = joint.hardstops_rad[0]
+    given["hardstop_rad"], given["upper_hardstop_rad"] = joint.hardstops_rad
     return {field.name: given[field.name] for field in fields(JointParams)}
 
 

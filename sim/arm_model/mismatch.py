@@ -111,7 +111,7 @@ def _compare_joints(params: Params, drawing: Params, sigma: BuiltTolerances) -> 
     pairs = zip(Joint, params.joints.in_order(), drawing.joints.in_order(), strict=True)
     for name, joint, drawn in pairs:
         where = f"joints.{name.name.lower()}"
-        exact = ("gear_ratio", "encoder_counts_per_turn", "torque_constant_Nm_A")
+        exact = ("gear_ratio", "encoder_counts_per_turn", "torque_constant_Nm_A", "upper_hardstop_rad")
         yield from _compare_exact(where, joint, drawn, *exact)
         yield from _compare_value(
             f"{where}.hardstop_rad", joint.hardstop_rad, drawn.hardstop_rad, _turn_sigma(sigma)

@@ -12,9 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fsw.dictionary.commands import SetParam
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.evrs import CommandCompleted, CommandRefused
 from fsw.dictionary.params import digest
 from sim.arms import nominal_params, params_over_nominal
 from sim.params import BadParams, params_from_table, params_table
+from tests.fsw.rig import Rig, config_of
+
+JOINT_NAMES = [joint.name.lower() for joint in Joint]
 
 
 def write_file(folder: Path, text: str) -> Path:
@@ -141,6 +147,59 @@ def test_bad_parameters_are_refused_at_once_and_each_is_named_with_its_place(tmp
     assert all(line.startswith(f"{path}: ") for line in lines)
     for sentence in dedent(expected).strip("\n").splitlines():
         assert any(line.startswith(f"{path}: {sentence}") for line in lines), (sentence, lines)
+
+
+UPPER_RAD = {name: getattr(nominal_params().joints, name).upper_hardstop_rad for name in JOINT_NAMES}
+LOWER_RAD = {name: getattr(nominal_params().joints, name).hardstop_rad for name in JOINT_NAMES}
+NO_ARM = [
+    *((f"joints.{name}.soft_max_rad", at + 1e-3, "is above") for name, at in UPPER_RAD.items()),
+    *((f"joints.{name}.soft_max_rad", at - 0.011, "0.012 below upper_") for name, at in UPPER_RAD.items()),
+    *((f"joints.{name}.soft_min_rad", at - 1e-3, "is not between 0.012") for name, at in LOWER_RAD.items()),
+    ("joints.elbow.upper_hardstop_rad", 2.87, "joints.elbow.soft_max_rad: 2.86583"),
+    ("joints.azimuth.soft_min_rad", -3.09, "hardstop.park_rad: joint azimuth: -3.099705 is outside"),
+    ("joints.wrist.soft_max_rad", 1.0, "poses.stowed_rad: joint wrist"),
+    ("joints.elbow.soft_max_rad", 1.0, "poses.ready_rad: joint elbow"),
+    ("joints.turret.soft_min_rad", -0.28, "joints.turret.hardstop_rad: -0.38746 is not between"),
+    (
+        "hardstop.retreat_rad",
+        0.005,
+        "hardstop.retreat_rad: 0.005 is not above 0.00536, backlash of the wrist",
+    ),
+    ("hardstop.lead_rad", 0.002, None),
+    ("hardstop.fine_speed_rad_s", 0.009, "hardstop.fine_speed_rad_s: 0.009 is above 0.00872"),
+    ("hardstop.coarse_speed_share", 0.09, "hardstop.fine_speed_rad_s: 0.00174"),
+    ("motion.settle_timeout_s", 0.2, "motion.settle_timeout_s: 0.2 is not above settle_time_s 0.25"),
+    ("motion.settle_error_rad", 2e-6, "motion.settle_error_rad: 2e-06 is below 3.26e-06, an encoder count"),
+    ("joints.turret.gear_ratio", 800.0, "motion.settle_error_rad: 3e-05 is below 3.07e-05, an encoder count"),
+    ("monitors.guarded_force_N", 2.0, "monitors.guarded_force_N: 2.0 is not above motion.switch_force_N 2"),
+    ("motion.switch_force_N", 25.0, "monitors.guarded_force_N: 25.0 is not above motion.switch_force_N 25"),
+    ("preload.max_force_N", 11.0, "preload.max_force_N: 11.0 is below 12, motion.switch_force_N and"),
+]
+"""A parameter, a value within its own limits, and what is said of it; None where the arm can have it."""
+
+
+@pytest.mark.parametrize(("name", "value", "said"), NO_ARM)
+def test_what_no_arm_can_have_is_refused_alike_as_a_command_and_in_a_file(tmp_path, name, value, said):
+    rig = Rig(config_of())
+    rig.cycle(SetParam(name, value))
+    path = write_file(tmp_path, f"{name} = {value}\n")
+    if said is None:
+        assert CommandCompleted("SetParam") in rig.evrs
+        params_over_nominal(path)
+        return
+    (refused,) = (evr for evr in rig.evrs if isinstance(evr, CommandRefused))
+    assert said in refused.reason
+    with pytest.raises(BadParams) as bad:
+        params_over_nominal(path)
+    assert f"{path}: {refused.reason}" in str(bad.value).splitlines()
+
+
+@pytest.mark.parametrize("name", JOINT_NAMES)
+def test_a_soft_limit_may_lie_as_near_to_its_hardstop_as_a_motor_may_pass_it(name):
+    rig = Rig(config_of())
+    rig.cycle(SetParam(f"joints.{name}.soft_max_rad", UPPER_RAD[name] - 0.0121))
+    rig.cycle(SetParam(f"joints.{name}.soft_min_rad", LOWER_RAD[name] + 0.0121))
+    assert rig.evrs.count(CommandCompleted("SetParam")) == 2
 
 
 @pytest.mark.parametrize("off_rad", [0.019, 0.021, -0.021, np.pi / 2, -np.pi])

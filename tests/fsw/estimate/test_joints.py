@@ -12,13 +12,13 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import (
-    RESOLVER_FILTER_S,
     apply_calibration,
     apply_load,
     uninitialised_estimate,
     update_joints,
 )
 from fsw.estimate.reference import HardstopFit, Reference, forget_joint, no_reference
+from fsw.estimate.resolver_baseline import RESOLVER_FILTER_S
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 
 CONFIG = config_of()

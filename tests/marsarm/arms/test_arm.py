@@ -7,7 +7,15 @@ import pytest
 
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
-from marsarm.arms.arm import build_arms, layout_document, make_files, save_layout_picture, show_arm
+from marsarm.arms.arm import (
+    LINK_NAMES,
+    build_arms,
+    directions_away,
+    layout_document,
+    make_files,
+    save_layout_picture,
+    show_arm,
+)
 from marsarm.common.options import ArmRequest
 from sim.arm_model.load import ARMS, arm_names, default_arm
 from simgap.common.errors import BadRequest
@@ -33,6 +41,17 @@ def test_the_picture_is_a_png_and_a_second_one_is_the_same(tmp_path):
         assert save_layout_picture(layout, tmp_path / name) is None
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.parametrize("vertical", [1, 2])
+@pytest.mark.parametrize("name", arm_names())
+def test_in_a_picture_the_name_of_a_frame_stands_nearest_to_its_own_origin(name, vertical):
+    X_RF = show_arm(ArmRequest(name)).X_RF
+    origins = np.array([X_RF[link].p for link in LINK_NAMES])[:, (0, vertical)]
+    distinct = np.unique(origins, axis=0)
+    for p, away in zip(origins, directions_away(origins), strict=True):
+        distances = np.linalg.norm(distinct - (p + 0.1 * away), axis=1)
+        np.testing.assert_array_equal(distinct[distances.argmin()], p)
 
 
 def test_an_arm_that_is_not_there_is_named():
