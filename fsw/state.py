@@ -1,6 +1,7 @@
 """State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from fsw.messages import ActuatorCommand, JointChannels, Outputs
 from fsw.motion.move import Move
 from fsw.motion.preload import PreloadState
 from fsw.protect.monitors import MonitorState
+from fsw.protect.readings import ReadingState
 from fsw.protect.responses import StandingFault
 
 
@@ -36,6 +38,9 @@ class Sequence:
 
     command: str
     remaining: tuple[SequenceStep, ...]
+
+
+NO_READINGS: Final = ReadingState()
 
 
 @cycle_record
@@ -67,6 +72,8 @@ class State:
     """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""
+    readings: ReadingState = NO_READINGS
+    """Readings of the last cycles, by which the next ones are judged."""
 
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:

@@ -237,6 +237,13 @@ def no_reference(config: Config) -> Reference:
     return Reference(never, never, zeros, config.half_backlash_rad, zeros, np.full(zeros.size, np.inf))
 
 
+def recount_joint(reference: Reference, joint: int, shift_rad: float) -> Reference:
+    """Shift the encoder zero of a joint whose counter has jumped; the joint must be calibrated again."""
+    this = np.arange(reference.zero_rad.size) == joint
+    shifted = np.where(this, reference.zero_rad + shift_rad, reference.zero_rad)
+    return replace(forget_joint(reference, joint), zero_rad=shifted)
+
+
 def forget_joint(reference: Reference, joint: int) -> Reference:
     """Mark a joint as uncalibrated; its values stay as provisional ones."""
     others = np.arange(reference.zero_rad.size) != joint

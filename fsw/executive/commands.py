@@ -45,7 +45,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.estimate.reference import forget_joint
+from fsw.estimate.reference import forget_joint, recount_joint
 from fsw.executive.context import (
     EVENT_OF,
     TRANSITIONS,
@@ -90,6 +90,7 @@ from fsw.motion.preload import (
     plan_preload,
     preload_limit_A,
 )
+from fsw.protect.readings import ReadingState, accept_present
 from fsw.state import Hold, Sequence, SequenceStep
 
 
@@ -148,12 +149,27 @@ def clear_fault(config: Config, context: CommandContext, command: ClearFault) ->
         return refuse(context, command, "no fault stands")
     if context.state.move is not None:
         return refuse(context, command, "the arm is still being stopped")
+    accepted = accept_present(config.readings, context.state.readings)
+    if isinstance(accepted, str):
+        return refuse(context, command, accepted)
     if context.state.sequence is not None:
         context = end_sequence(context, CommandAborted(context.state.sequence.command))
+    context = _use_present(config, context, *accepted)
     tool = _touching_tool(config, context) if mode is Mode.GUARDED else context.state.tool
     state = replace(context.state, mode=mode, tool=tool, preload=tool_preload(context, tool), fault=None)
     context = replace(context, state=state)
     return with_events(context, FaultCleared(), CommandCompleted(command_name(command)))
+
+
+def _use_present(
+    config: Config, context: CommandContext, readings: ReadingState, jumps: tuple[tuple[Joint, int], ...]
+) -> CommandContext:
+    """Use readings that stayed at a new value; a motor whose counter jumped is where it was."""
+    joints = context.state.joints
+    for joint, count in jumps:
+        shift_rad = -count * float(config.rad_per_count[joint])
+        joints = replace(joints, reference=recount_joint(joints.reference, joint, shift_rad))
+    return replace(context, state=replace(context.state, readings=readings, joints=joints))
 
 
 def stop_move(config: Config, context: CommandContext, command: Stop) -> CommandContext:

@@ -1,33 +1,24 @@
-"""Inputs of protection: plain values about the arm and its move, bounds, and checks of the readings.
+"""Inputs of protection: plain values about the arm and its move, bounds, and checks of the sensors.
 
-Readings are to be finite, plausible, alive and as many as there should be; gravity is to be as at the start.
+Noisy readings are to change from cycle to cycle; gravity is to be as at the start of a move.
 The records of a cycle are named tuples: a frozen dataclass takes five times as long.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import atan2, dist, hypot, isfinite, pi, sin, sqrt
+from math import atan2, dist, hypot, pi, sin, sqrt
 from operator import eq
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CyclesSkipped, Evr
-from fsw.dictionary.faults import (
-    CycleCountWrong,
-    CyclesMissed,
-    GravityImplausible,
-    SensorFrozen,
-    SensorNotFinite,
-    StructureTemperatureImplausible,
-    TiltChanged,
-)
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import SensorFrozen, TiltChanged
 from fsw.dictionary.motion_params import MonitorParams
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array, Flags
-from fsw.messages import Sensors
 
 
 class PressStatus(NamedTuple):
@@ -229,42 +220,6 @@ def _jump(noise: float) -> float:
 NOISY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3 + ("structure_C",)
 """Sensor of each number that has noise: it never stays the same for long, even at rest."""
 NONE_UNCHANGED: Final = (0,) * len(NOISY)
-ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2", "structure_C")
-"""Sensors whose readings are real numbers."""
-
-
-def check_readings(bounds: ProtectionBounds, sensors: Sensors) -> tuple[Evr, ...]:
-    """Find readings that nothing may be computed from: not finite, no gravity, or no temperature of an arm.
-
-    This comes first in a cycle. Comparisons with NaN are all false and clip nothing, and a wild value stays
-    in filters.
-    """
-    # hypot raises no warning, and is finite only if all its arguments are
-    if not isfinite(hypot(*noisy_readings(sensors), *sensors.winding_C.tolist())):
-        found = tuple(
-            SensorNotFinite(name)
-            for name in ANALOG
-            if not isfinite(hypot(*np.ravel(getattr(sensors, name)).tolist()))
-        )
-        if found:
-            return found
-    gravity, monitors = hypot(*sensors.gravity_R_m_s2.tolist()), bounds.monitors
-    if not monitors.gravity_min_m_s2 <= gravity <= monitors.gravity_max_m_s2:
-        return (GravityImplausible(gravity, monitors.gravity_min_m_s2, monitors.gravity_max_m_s2),)
-    low, high = monitors.structure_min_C, monitors.structure_max_C
-    if not low <= sensors.structure_C <= high:
-        return (StructureTemperatureImplausible(sensors.structure_C, low, high),)
-    return ()
-
-
-def noisy_readings(sensors: Sensors) -> tuple[float, ...]:
-    """Return the numbers that have noise, in the order of NOISY."""
-    return (
-        *sensors.resolver_rad.tolist(),
-        *sensors.current_A.tolist(),
-        *sensors.gravity_R_m_s2.tolist(),
-        sensors.structure_C,
-    )
 
 
 def check_frozen(
@@ -279,16 +234,6 @@ def check_frozen(
         return counts, ()
     frozen = {name: count for name, count in zip(NOISY, counts, strict=True) if count >= bound}
     return counts, tuple(SensorFrozen(name, count) for name, count in frozen.items())
-
-
-def check_cycle_count(bounds: ProtectionBounds, before: int | None, now: int) -> tuple[Evr, ...]:
-    """Check that the cycle count of the avionics rises by one; a few missed cycles are only reported."""
-    if before is None or now == before + 1:
-        return ()
-    if now <= before:
-        return (CycleCountWrong(now, before),)
-    cycles, bound = now - before - 1, bounds.monitors.missed_cycles
-    return (CyclesSkipped(cycles),) if cycles <= bound else (CyclesMissed(cycles, bound),)
 
 
 def check_tilt(
