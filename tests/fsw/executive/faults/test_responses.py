@@ -42,13 +42,11 @@ def seized(rig):
 
 HIGHEST_RAD = lab.CONFIG.protection.highest_rad[Joint.ELBOW]
 BEYOND = {
-    faults.SensorNotFinite: lambda rig: {"current_A": np.full(5, np.nan)},
-    faults.GravityImplausible: lambda rig: {"gravity_R_m_s2": np.zeros(3)},
-    faults.StructureTemperatureImplausible: lambda rig: {"structure_C": 90.0},
+    faults.ReadingImplausible: lambda rig: {"current_A": np.full(5, np.nan)},
     faults.SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
     faults.CyclesMissed: lambda rig: MISSED,
     faults.CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
-    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
+    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": [0.4, 0.0, 3.7 + alive(rig.cycles)]},
     faults.SetpointUnsafe: tamper,
     faults.SoftLimitPassed: lambda rig: lab.encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3),
     faults.MotorStalled: seized,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.faults import CyclesMissed, GravityImplausible, SensorFrozen, SensorNotFinite
+from fsw.dictionary.faults import CyclesMissed, ReadingImplausible, SensorFrozen
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import holding_force_N
 from helpers.marks import slow_but
