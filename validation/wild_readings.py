@@ -8,7 +8,7 @@ sensors, so the plant is stepped only for a draw that commands something else.
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from math import hypot, inf, nan
@@ -21,19 +21,20 @@ from fsw.cycle import step
 from fsw.dictionary.commands import Command, MoveJoints, Preload
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr, ReadingNotUsed
-from fsw.dictionary.faults import Fault
+from fsw.dictionary.faults import Fault, ReadingImplausible
 from fsw.dictionary.types import joints5
 from fsw.messages import ActuatorCommand, Outputs, Sensors
 from fsw.state import State
 from sim.arms import arm_named
-from sim.initialisation import initial_reference, prepare_homing, true_reference
+from sim.initialisation import initialise_joints, prepare_homing, true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command, random_placement
-from sim.scenario.file import built_in_scenarios
+from sim.scenario.file import load_scenario
+from sim.scenario.run import ScenarioRun, scenario_setup, teach
 from sim.sequence import run_sequence
 from sim.setting import World
 from validation.campaigns import Context, Document
-from validation.scenarios import run_scenario_on
+from validation.scenarios import choose
 
 RUN_CYCLES: Final = 2 * CYCLE_HZ
 GOOD_READINGS: Final = 3
@@ -44,8 +45,12 @@ LEVER_M: Final = 2.5
 """Distance from a joint to a tool: an angle moves a tool by at most that much more."""
 DRAWS_OF_A_START: Final = 50
 UNIT: Final = {
-    **{"encoder_count": 1.0, "resolver_rad": 2 * np.pi / 2**16, "current_A": 1e-3},
-    **{"winding_C": 0.01, "gravity_R_m_s2": 1e-3, "structure_C": 0.01},
+    "encoder_count": 1.0,
+    "resolver_rad": 2 * np.pi / 2**16,
+    "current_A": 1e-3,
+    "winding_C": 0.01,
+    "gravity_R_m_s2": 1e-3,
+    "structure_C": 0.01,
 }
 """Least wrong size of each sensor."""
 SIZES: Final = {
@@ -385,19 +390,35 @@ def try_start(seed: int, number: int, draws: int) -> list[Result]:
         return [try_draw(name, kind, start, draw_reading(random, kind)) for kind in kinds]
 
 
-def count_wild(arm: str, scenarios: tuple[str, ...]) -> dict[str, int]:
-    """Count readings that were not used in the homing of all joints and in scenarios of an arm without faults."""
-    raise NotImplementedError
+def count_told(name: str, scenarios: tuple[str, ...]) -> list[str]:
+    """Return what is told of wild readings in the homing of all joints and in scenarios of an arm."""
+    arm, evrs = arm_named(name), list[Evr]()
+    for result in initialise_joints(arm):
+        evrs += [evr for _, evr in result.evrs]
+    for scenario in map(load_scenario, scenarios):
+        taught = teach(arm, result.reference, scenario.taught, scenario.world)
+        run = ScenarioRun(ClosedLoop(scenario_setup(scenario, taught, result.reference, 1), False), scenario)
+        evrs += [evr for record in run for evr in record.outputs.evrs]
+    return [f"{name}: {evr.message}" for evr in evrs if isinstance(evr, ReadingNotUsed | ReadingImplausible)]
 
 
-def campaign(context: Context, draws: int = 10_000) -> Document:
-    """Try so many wrong readings; in bounds if nothing came of any."""
+def campaign(context: Context, draws: int = 10_000, arms: int = 4, only: str = "") -> Document:
+    """Try so many wrong readings, and run arms without any; in bounds if nothing comes of any, or is told."""
     starts = -(-draws // DRAWS_OF_A_START)
     jobs = [(context.seed, k, min(DRAWS_OF_A_START, draws - k * DRAWS_OF_A_START)) for k in range(starts)]
     results = [one for found in context.each(try_start, jobs, "starts") for one in found]
-    bad = [one for one in results if one.problem]
+    bad = [f"{one.state}, {one.kind}, {one.draw}: {one.problem}" for one in results if one.problem]
+    names = ["nominal", *(f"as-built:{context.seed + k}" for k in range(1, arms + 1))][:arms]
+    told = context.each(count_told, ((name, choose(only)) for name in names), "arms")
+    quiet = [text for found in told for text in found]
+    once = [one for one in results if one.kind == "once"]
     return {
         "draws": len(results),
-        "in_bounds": not bad,
-        "bad": [f"{one.state}, {one.kind}, {one.draw}: {one.problem}" for one in bad],
+        "in_bounds": not bad and not quiet,
+        "told": sum(bool(one.told) for one in once),
+        "of": len(once),
+        "max_output_urad": 1e6 * max((one.output_rad for one in once if one.told), default=0.0),
+        "max_tool_mm": 1e3 * max((one.tool_m for one in once if one.told), default=0.0),
+        "told_without_a_wrong_reading": quiet,
+        "bad": bad,
     }

@@ -136,8 +136,10 @@ def monitor_approach(
     estimated = arm.motor_rad + arm.gear_rad + arm.resolver_bias_rad
     wound_rad = sensors.resolver_rad - estimated - last.rest_rad
     now_N = float(per_N @ wound_rad) / square
-    force_N = last.force_N + FORCE_GAIN * (now_N - last.force_N)
     bound_N = max(bounds.monitors.guarded_force_N, NOISE_RAD / sqrt(square))
+    # one reading moves the force by an eighth of its bound at most, so that a few wrong ones are no contact
+    change_N = min(max(now_N - last.force_N, -bound_N), bound_N)
+    force_N = last.force_N + FORCE_GAIN * change_N
     found = (PreloadOutside(tool, 0.0, force_N, bound_N),) if force_N > bound_N else ()
     return ApproachState(per_N, last.rest_rad + REST_GAIN * wound_rad, force_N), found
 

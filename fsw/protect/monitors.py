@@ -123,7 +123,7 @@ def run_monitors(
     unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, read)
     counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
     approach, force = monitor_approach(bounds, last.approach, arm, sensors)
-    free_move, contact = monitor_free_move(bounds, last.free_move, arm, readings.used[READ_NOISY], unchanged)
+    free_move, contact = monitor_free_move(bounds, last.free_move, arm, used, unchanged)
     state = MonitorState(counts, read, unchanged, planned, approach, free_move)
     return state, frozen + found + force + contact
 

@@ -136,6 +136,8 @@ class Rig:
     ):
         self.config = config
         self.warm_C = warm_C
+        self.winding_C = np.full(5, -40.0)
+        self.off_count = np.zeros(5)
         start = np.array(config.params.poses.ready_rad if start_rad is None else start_rad)
         self.count = np.rint(start / config.rad_per_count).astype(np.int64)
         # encoders count from joint angle zero, resolvers are right
@@ -152,6 +154,7 @@ class Rig:
         """Return a rig that goes on from here, without events so far; no state is changed in place."""
         rig = copy(self)
         rig.count, rig.evrs = self.count.copy(), []
+        rig.winding_C, rig.off_count = self.winding_C.copy(), self.off_count.copy()
         return rig
 
     def resolver_rad(self) -> np.ndarray:
@@ -162,6 +165,7 @@ class Rig:
     def cycle(self, *commands: Command, **readings) -> Outputs:
         self.cycles += 1
         defaults = {"cycle": self.cycles, "encoder_count": self.count, "resolver_rad": self.resolver_rad()}
+        defaults["winding_C"] = self.winding_C
         defaults["structure_C"] = self.warm_C + alive(self.cycles)
         readings = defaults | readings
         self.state, self.outputs = step(self.config, self.state, quiet_sensors(**readings), commands)

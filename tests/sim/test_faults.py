@@ -13,15 +13,12 @@ from fsw.dictionary.evrs import CommandCompleted, CyclesSkipped, FaultResponse
 from fsw.dictionary.faults import (
     CyclesMissed,
     Fault,
-    FollowingErrorHigh,
     MotorStalled,
     OverCurrent,
     OverTemperature,
     ReadingImplausible,
-    ResolverDisagrees,
     SensorFrozen,
     TiltChanged,
-    UnderTemperature,
 )
 from fsw.dictionary.types import joints5
 from fsw.messages import ActuatorCommand, Sensors
