@@ -7,7 +7,7 @@ from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import ClearFault, Command
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Booted, CommandRefused, Evr, FaultCleared, FaultResponse, ModeChanged
-from fsw.dictionary.faults import Fault
+from fsw.dictionary.faults import Fault, ReadingImplausible
 from fsw.estimate.joints import (
     JointEstimate,
     LoadEstimate,
@@ -55,8 +55,10 @@ def step(
             state = replace(state, changed_config=config)
     joints, load, tool_channels = _estimate(config, state, sensors, readings)
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, readings)
-    if state.readings is not before.readings:  # a command has changed them
+    if state.readings is not before.readings and state.readings is not readings:
+        # the ground has ordered to use what is read
         readings = state.readings
+        found = tuple(evr for evr in found if not isinstance(evr, ReadingImplausible))
     # without a move, the last set-point is the motor angle by the encoder zero of this cycle
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
     moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)

@@ -96,6 +96,8 @@ CURRENT_UPDATES: Final = 8
 """Updates in the slow mean of a current, 1 s: longer than a contact takes to be found."""
 WIND_UP_UPDATES: Final = 32
 """Updates in the slow mean of a wind-up, 4 s, sixteen times as long as its fast mean."""
+RECENT: Final = 7
+"""Last readings whose median is taken: three may be wrong, and it lags as the fast mean of currents does."""
 SIGMAS: Final = 6.0
 """Noise passes this many sigmas once in 1e9 readings."""
 
@@ -234,6 +236,11 @@ def check_frozen(
         return counts, ()
     frozen = {name: count for name, count in zip(NOISY, counts, strict=True) if count >= bound}
     return counts, tuple(SensorFrozen(name, count) for name, count in frozen.items())
+
+
+def take_median(values: tuple[float, ...]) -> float:
+    """Take the median of the last values of a reading; of an even number, the upper one."""
+    return sorted(values)[len(values) // 2]
 
 
 def check_tilt(

@@ -45,11 +45,13 @@ from fsw.kinematics.transforms import Array
 from fsw.protect.inputs import (
     CURRENT_GAIN,
     CURRENT_UPDATES,
+    RECENT,
     UPDATE_CYCLES,
     WIND_UP_UPDATES,
     ArmStatus,
     MoveStatus,
     ProtectionBounds,
+    take_median,
 )
 
 CONTACT: Final = 50.7
@@ -62,8 +64,6 @@ DRAGGED_RAD: Final = 1e-5
 """Distance from the angle at which the gear drags its output: 1 N m, less than the error of any load."""
 CHANGE_SIGMAS: Final = 3.0
 """Change of the wind-up that is no noise; noise alone begins one mean in 370 anew."""
-RECENT: Final = 7
-"""Last readings whose median is taken: three may be wrong, and it lags as the fast mean does."""
 LEAST_LEVER_M: Final = 0.05
 """Lever of the tool's motion on the joints below which no force is computed from their torques."""
 
@@ -159,7 +159,7 @@ def monitor_free_move(
 
 def take_medians(recent: tuple[tuple[float, ...], ...]) -> list[float]:
     """Take the medians of the last readings, (10,)."""
-    return [sorted(values)[len(recent) // 2] for values in zip(*recent, strict=True)]
+    return [take_median(values) for values in zip(*recent, strict=True)]
 
 
 def show_half(off: float, median_off: float) -> bool:

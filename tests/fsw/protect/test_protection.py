@@ -129,7 +129,11 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
     counts = replace(last.counts, **dict.fromkeys(last.counts.__slots__, 1000))
     readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed("drt_1"))
     last = MonitorState(
-        counts, noisy_readings(readings), (1000,) * 14, MARS_R_m_s2, ApproachState(LEVERS_M, ZERO, 1e6)
+        counts,
+        noisy_readings(readings),
+        (1000,) * 14,
+        MARS_R_m_s2,
+        ApproachState(LEVERS_M, ZERO, 1e6, (1e6,) * 7),
     )
     state, found = run_monitors(BOUNDS, last, arm, readings)
     assert kinds(found) == [

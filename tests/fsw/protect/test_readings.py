@@ -187,8 +187,8 @@ def test_wrong_numbers_of_one_sensor_are_one_event_and_those_of_others_are_other
 def test_a_motor_may_turn_to_its_set_point_and_beyond_it_and_others_stand(joint):
     this = np.arange(5) == joint
     for goal, most, least in (
-        (300, 600 + STEP_COUNT[joint], -300 - STEP_COUNT[joint]),
-        (0, *(STEP_COUNT[joint] * [1, -1])),
+        (300, 600 + 2 * STEP_COUNT[joint], -300 - 2 * STEP_COUNT[joint]),
+        (0, 2 * STEP_COUNT[joint], -2 * STEP_COUNT[joint]),  # a step since each of the last two readings
     ):
         for count, said in ((most - 1, 0), (most + 1, 1), (least + 1, 0), (least - 1, 1)):
             watch = Watch()
@@ -224,7 +224,7 @@ def test_a_few_missed_cycles_are_reported_and_motors_may_have_turned_in_them(mis
     watch.judge(ALL, cycles=1 + missed, encoder_count=count)
     assert watch.evrs == (CyclesSkipped(missed),)
     watch = Watch()
-    watch.judge(ALL, cycles=1 + missed, encoder_count=count + 2)
+    watch.judge(ALL, cycles=1 + missed, encoder_count=count + STEP_COUNT + 2)
     assert [type(evr) for evr in watch.evrs] == [CyclesSkipped, ReadingNotUsed]
 
 
@@ -299,7 +299,7 @@ def test_nothing_begins_with_a_wild_reading(name, place):
 def test_a_move_that_began_on_first_readings_is_ended_where_the_next_contradict_them():
     watch = Watch(0)
     watch.judge(encoder_count=np.full(5, 1000))
-    watch.judge(ALL)
+    watch.judge(ALL, drive_to(np.full(5, 1000)))
     assert [type(evr) for evr in watch.evrs] == [ReadingImplausible]
 
 

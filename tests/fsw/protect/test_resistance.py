@@ -61,7 +61,8 @@ class Turning:
             resolver_error_rad=self.resolver,
             **(self.changes | changes),
         )
-        readings = (*ZERO, *current.tolist(), *MARS)
+        resolver = self.angle + arm.gear_rad + error
+        readings = (*resolver.tolist(), *current.tolist(), *MARS)
         self.state, found = resistance.monitor_free_move(self.bounds, self.state, arm, readings, unchanged)
         return found
 
@@ -178,10 +179,10 @@ def test_a_reading_that_jumps_hides_only_its_own_joint(jumps):
     turning, torque = known(), at(Joint.ELEVATION, -2.0 * least_torque_Nm(Joint.ELEVATION))
     found = [
         turning.cycle(torque_Nm=torque + at(Joint.WRIST, 1000.0 if jumps and cycle == 2 else 0.0))
-        for cycle in range(3)
+        for cycle in range(4)
     ]
-    assert [len(events) for events in found] == [0, 0, 1]
-    assert found[2][0].joint is Joint.ELEVATION
+    assert [len(events) for events in found] == [0, 0, 0, 1]
+    assert found[3][0].joint is Joint.ELEVATION
 
 
 def test_a_frozen_resolver_shows_nothing():

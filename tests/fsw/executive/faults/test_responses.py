@@ -23,7 +23,7 @@ RESPONDED = {
     Response.POWER_OFF: lab.UNPOWERED,
     Response.STOP_AND_BRAKE: lab.STOPPED,
 }
-MISSED = {"missed": lab.BOUNDS.missed_cycles + 1}
+MISSED = lab.BOUNDS.missed_cycles + 1
 LATEST = 3
 """Cycles from a persistence to the drive that answers it."""
 
@@ -34,24 +34,36 @@ def tamper(rig):
     return {}
 
 
+def missing(rig):
+    """Cycles are missed, once."""
+    rig.cycles += 0 if hasattr(rig, "missed") else MISSED
+    rig.missed = True
+    return {}
+
+
 def seized(rig):
     """All joints stand."""
     rig.stood = getattr(rig, "stood", rig.count)
     return {"encoder_count": rig.stood}
 
 
+def tilted(rig, more_m_s2=0.0):
+    """Gravity that has turned by nearly the bound, and by more."""
+    turned_m_s2 = 0.97 * 3.711 * np.tan(lab.BOUNDS.tilt_rad)
+    return np.array([turned_m_s2 + more_m_s2, 0.0, 3.711]) + alive(rig.cycles)
+
+
 LAG_RAD = lab.BOUNDS.following_error_rad
-TILTED_R = np.array([0.97 * 3.711 * np.tan(lab.BOUNDS.tilt_rad), 0.0, 3.711])
 BEYOND = {
     faults.ReadingImplausible: lambda rig: {"current_A": np.full(5, np.nan)},
     faults.SensorFrozen: lambda rig: {"current_A": np.zeros(5)},
-    faults.CyclesMissed: lambda rig: MISSED,
+    faults.CyclesMissed: missing,
     faults.CycleCountWrong: lambda rig: {"cycle": rig.cycles - 51},
-    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": TILTED_R + [0.4, 0.0, alive(rig.cycles)]},
+    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": tilted(rig, 0.4)},
     faults.SetpointUnsafe: tamper,
     faults.SoftLimitPassed: lambda rig: lab.with_limit_at(rig, Joint.ELBOW, 0.0),
     faults.MotorStalled: seized,
-    faults.FollowingErrorHigh: lambda rig: lab.off_set_point(rig, Joint.ELBOW, -LAG_RAD - 1.5e-4),
+    faults.FollowingErrorHigh: lambda rig: lab.off_set_point(rig, Joint.ELBOW, -LAG_RAD - 2e-4),
     faults.OverCurrent: lambda rig: lab.currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
     faults.OverTemperature: lambda rig: lab.heat(rig, Joint.WRIST, 150.0),
     faults.UnderTemperature: lambda rig: lab.heat(rig, Joint.WRIST, -100.0),
@@ -60,8 +72,8 @@ BEYOND = {
 }
 """Readings of a moving arm that pass the bound with the first of them."""
 UP_TO = {
-    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": TILTED_R + [0.0, 0.0, alive(rig.cycles)]},
-    faults.FollowingErrorHigh: lambda rig: lab.off_set_point(rig, Joint.ELBOW, -LAG_RAD + 1e-5),
+    faults.TiltChanged: lambda rig: {"gravity_R_m_s2": tilted(rig)},
+    faults.FollowingErrorHigh: lambda rig: lab.off_set_point(rig, Joint.ELBOW, -LAG_RAD + 4e-4),
     faults.OverTemperature: lambda rig: lab.heat(rig, Joint.WRIST, lab.BOUNDS.winding_max_C),
     faults.UnderTemperature: lambda rig: lab.heat(rig, Joint.WRIST, lab.BOUNDS.winding_min_C),
     faults.ResolverDisagrees: lambda rig: lab.resolver_off(rig, Joint.ELBOW, 0.0049),
@@ -87,9 +99,6 @@ def until_the_drive_differs(rig, twin, trouble):
     """Cycles from the first troubled reading to the first drive that an untroubled arm would not get."""
     for cycle in range(1, 1000):
         readings = trouble(rig)
-        if readings is MISSED:
-            rig.cycles += readings["missed"]
-            readings = {}
         here, there = rig.cycle(**readings).drive, twin.cycle().drive
         if any(
             not np.array_equal(getattr(here, name), getattr(there, name))

@@ -135,7 +135,7 @@ def pushed(rig, tool, force_N, cycles, **readings):
             break
 
 
-@pytest.mark.parametrize(("times", "cycles"), [(1.5, LATEST), (10.0, 3)], ids=["some", "large"])
+@pytest.mark.parametrize(("times", "cycles"), [(1.5, LATEST), (10.0, 4)], ids=["some", "large"])
 @pytest.mark.parametrize("tool", WITH_SWITCHES)
 def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool, times, cycles):
     rig = lab.in_guarded_motion(tool)
@@ -313,12 +313,13 @@ def test_an_implausible_gravity_is_not_learnt_and_stops_the_arm_if_it_lasts(kind
     assert isinstance(out.evrs[0], ReadingImplausible)
     assert not out.drive.brake_release.any()
     assert not out.drive.setpoint_rate_rad_s.any()
-    np.testing.assert_array_equal(rig.state.joints.gravity_R_m_s2, before)
+    np.testing.assert_allclose(rig.state.joints.gravity_R_m_s2, before, atol=1e-11)
 
 
 @pytest.mark.parametrize("count", [1000, -(10**17)])
 def test_an_encoder_that_jumped_and_stays_is_cleared_where_its_motor_was_and_must_be_calibrated_again(count):
     rig = Rig(lab.CONFIG, start_rad=lab.START)
+    rig.cycle()
     before = rig.state.joints.motor_rad
     jumped = rig.count + count * (np.arange(5) == 2)
     for _ in range(PERSISTENCE):
@@ -365,5 +366,7 @@ def test_cycles_missed_at_rest_are_reported_and_stop_nothing():
     rig = Rig(lab.CONFIG, start_rad=lab.START)
     rig.evrs.clear()
     lab.skip(rig, 20)
-    assert rig.evrs == [CyclesMissed(20, lab.BOUNDS.missed_cycles), lab.STOPPED]
+    told, *responded = rig.evrs
+    assert isinstance(told, evrs.ReadingNotUsed)
+    assert responded == [CyclesMissed(20, lab.BOUNDS.missed_cycles), lab.STOPPED]
     assert rig.state.mode is Mode.DEPLOYED
