@@ -1,9 +1,9 @@
 """Campaign of commands: random ones of right and wrong types in the closed loop, from huge to tiny numbers.
 
-Some readings are wrong, by any size. Flight software must not end with an exception or a warning. After a fault
-the brakes are on, and at the end of a run a stop brings the arm to rest on its brakes. A cycle whose commands are all refused must drive
-the actuators, to the last bit, as one without commands. Values are drawn from the annotations of a command,
-so that a new command or field needs nothing here.
+Some readings are wrong, by any size. Flight software must not end with an exception or a warning. While a
+fault stands the brakes are on, and at the end of a run a stop brings the arm to rest on its brakes. A cycle
+whose commands are all refused must drive the actuators, to the last bit, as one without commands. Values are
+drawn from the annotations of a command, so that a new command or field needs nothing here.
 """
 
 import warnings

@@ -90,7 +90,7 @@ class Draw:
 
 
 def draw_reading(random: np.random.Generator, kind: str) -> Draw:
-    """Draw a wrong reading: mostly of a size near the bounds, then of any up to 1e300, no number, or negated."""
+    """Draw a wrong reading: mostly of a size near the bounds, else up to 1e300, no number, or negated."""
     sensor = str(random.choice(list(UNIT)))
     index, share = int(random.integers(SIZES[sensor])), random.random()
     cycles = {"once": (0,), "stays": tuple(range(RUN_CYCLES))}.get(kind)
@@ -344,7 +344,7 @@ def _never_plausible(start: Start, draw: Draw) -> bool:
 
 
 def _run(start: Start, draw: Draw) -> Iterator[tuple[State, Outputs]]:
-    """Yield states and outputs of a run with wrong readings; the plant is stepped only if it is told other."""
+    """Yield states and outputs of a run with wrong readings; the plant is stepped if their drive differs."""
     state, config, found = start.loop.state, start.loop.config, []
     for cycle, sensors in enumerate(start.sensors):
         read = draw.corrupt(sensors) if cycle in draw.cycles else sensors

@@ -145,6 +145,10 @@ class ProtectionBounds:
     reading_step: tuple[float, ...]
     """Changes in a cycle that noise, speed and stiffness explain: of the currents, then of resolver less
     motor angles, (10,)."""
+    least_step_A: float
+    """Distance of all currents together from the last ones within which none has changed by more."""
+    least_step_rad: float
+    """The same of resolver less motor angles."""
     current_sigma_A: tuple[float, ...]
     """Noise of a fast mean current less its slow mean, by the number of updates of the latter."""
     wind_up_sigma_rad: tuple[float, ...]
@@ -169,6 +173,10 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
     load_error = np.array([j.load_error_Nm for j in joints])
     constant = np.array([j.torque_constant_Nm_A for j in joints])
     speed = np.array([j.speed_rad_s for j in joints])
+    step_A = (
+        _jump(monitors.current_noise_A) + arm.gear_stiffness_Nm_rad * speed * cycle_s / constant
+    ).tolist()
+    step_rad = (_jump(monitors.resolver_noise_rad) + speed * cycle_s).tolist()
     return ProtectionBounds(
         monitors=monitors,
         arm=arm,
@@ -191,12 +199,9 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         ),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
         turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
-        reading_step=(
-            *(
-                _jump(monitors.current_noise_A) + arm.gear_stiffness_Nm_rad * speed * cycle_s / constant
-            ).tolist(),
-            *(_jump(monitors.resolver_noise_rad) + speed * cycle_s).tolist(),
-        ),
+        reading_step=(*step_A, *step_rad),
+        least_step_A=min(step_A),
+        least_step_rad=min(step_rad),
         current_sigma_A=_compute_sigmas(monitors.current_noise_A, CURRENT_GAIN, CURRENT_UPDATES),
         wind_up_sigma_rad=_compute_sigmas(monitors.resolver_noise_rad, WIND_UP_GAIN, WIND_UP_UPDATES),
         monitored_lowest=tuple(

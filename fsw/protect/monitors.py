@@ -63,6 +63,8 @@ class Counts:
 
 
 ALL_ZERO: Final = Counts()
+NO_LAG: Final = (0.0,) * len(Joint)
+"""Distances of motors at rest from their set-points."""
 ROUNDING_RAD: Final = 1e-9
 
 
@@ -201,10 +203,9 @@ def get_lowest(bounds: ProtectionBounds, move: MoveStatus) -> Array:
 def exceed_any_bound(bounds: ProtectionBounds, arm: ArmStatus, sensors: Sensors) -> bool:
     """Check whether any joint is beyond a bound; only then the monitors below are run, one by one."""
     motor = arm.motor_rad.tolist()
-    setpoint = motor if arm.move is None else arm.move.setpoint_rad.tolist()
     monitored = (
         *motor,
-        *map(sub, motor, setpoint),
+        *(NO_LAG if arm.move is None else map(sub, motor, arm.move.setpoint_rad.tolist())),
         *sensors.current_A.tolist(),
         *sensors.winding_C.tolist(),
         *arm.resolver_error_rad.tolist(),

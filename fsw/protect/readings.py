@@ -16,7 +16,7 @@ If these contradict them, both history and estimate begin anew.
 from dataclasses import dataclass, replace
 from math import dist, hypot, inf
 from operator import le, sub
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -63,7 +63,8 @@ Limits = tuple[Numbers, Numbers]
 """Lowest and highest numbers."""
 
 
-class ReadingBounds(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class ReadingBounds:
     """Bounds of the readings; numbers in the order of SENSORS, joints in the order of Joint."""
 
     persistence: int
@@ -236,16 +237,9 @@ def judge(
     Returns:
         The history, the readings to be used, and the events, among them the faults.
     """
-    resolver, current, winding = (
-        sensors.resolver_rad.tolist(),
-        sensors.current_A.tolist(),
-        sensors.winding_C.tolist(),
-    )
-    gravity, encoder, structure_C = (
-        sensors.gravity_R_m_s2.tolist(),
-        sensors.encoder_count.tolist(),
-        sensors.structure_C,
-    )
+    resolver, current = sensors.resolver_rad.tolist(), sensors.current_A.tolist()
+    gravity, winding = sensors.gravity_R_m_s2.tolist(), sensors.winding_C.tolist()
+    encoder, structure_C = sensors.encoder_count.tolist(), sensors.structure_C
     read = (*resolver, *current, *gravity, structure_C, *winding, *encoder)
     near = last.near
     if (
@@ -257,23 +251,20 @@ def judge(
         and dist(gravity, near.gravity) <= bounds.near_gravity_m_s2
         and abs(structure_C - near.structure_C) <= bounds.near_structure_K
         and dist(winding, near.winding) <= bounds.near_winding_K
-        and _is_near(bounds, near, last.used, read, encoder, drive)
+        and (
+            dist(encoder, near.encoder) <= bounds.near_still_count
+            if turning is None
+            else _turn_near(bounds, near, last.used, encoder, drive)
+        )
     ):
         return ReadingState(sensors.cycle, read, read, last.used, last.history, near), sensors, ()
     return _judge_each(bounds, last, sensors, read, turning, drive)
 
 
-def _is_near(
-    bounds: ReadingBounds,
-    near: Near,
-    last: Numbers,
-    read: Numbers,
-    encoder: list[int],
-    drive: ActuatorCommand,
+def _turn_near(
+    bounds: ReadingBounds, near: Near, last: Numbers, encoder: list[int], drive: ActuatorCommand
 ) -> bool:
-    """Return whether the encoders are surely plausible: as they were, or near their set-points."""
-    if near.turning is None:
-        return dist(encoder, near.encoder) <= bounds.near_still_count
+    """Return whether the encoders of motors that turn are surely plausible: near their set-points."""
     if near.count_step:
         return all(map(le, map(abs, map(sub, encoder, last[ENCODER])), near.count_step))
     return dist(encoder, drive.setpoint_count.tolist()) <= bounds.near_turning_count

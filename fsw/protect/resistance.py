@@ -31,7 +31,7 @@ A joint shows nothing, and its slow means begin anew, in these cases:
 `docs/faults.md` derives the force that remains.
 """
 
-from math import sqrt
+from math import dist, sqrt
 from operator import gt, sub
 from typing import Final, NamedTuple
 
@@ -131,7 +131,9 @@ def monitor_free_move(
     read = (*readings[5:10], *map(sub, readings[:5], arm.motor_rad.tolist()))
     if last is None:
         return FreeMove(0, read, read[:5], read[:5], NOTHING, NO_MEANS, (read,)), ()
-    if any(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step)):
+    near = dist(read[:5], last.read[:5]) <= bounds.least_step_A
+    near = near and dist(read[5:], last.read[5:]) <= bounds.least_step_rad
+    if not near and any(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step)):
         last = _forget_jumps(bounds, last, read)
     cycles, _, fast_A, expected_A, per_A, means, recent = last
     means_A, total = [], 0.0
