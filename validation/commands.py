@@ -166,8 +166,9 @@ def _find_change(config: Config, before: State, sensors: Sensors, record: CycleR
     refused = sum(isinstance(evr, CommandRefused) for evr in record.outputs.evrs) - len(others)
     if refused != len(record.commands):
         return []
-    left = [evr for evr in record.outputs.evrs if not isinstance(evr, CommandRefused)]
-    same_events = left == [evr for evr in quiet.evrs if not isinstance(evr, CommandRefused)]
+    # by their texts: a reading that is no number differs from itself
+    left = [evr.message for evr in record.outputs.evrs if not isinstance(evr, CommandRefused)]
+    same_events = left == [evr.message for evr in quiet.evrs if not isinstance(evr, CommandRefused)]
     drive, still = record.outputs.drive, quiet.drive
     same_drive = all(np.array_equal(getattr(drive, name), getattr(still, name)) for name in DRIVE_FIELDS)
     if same_events and same_drive and state.mode is Mode(record.outputs.joint.mode):
