@@ -37,35 +37,30 @@ def step(
     A fault that is found in the cycle in which it would be cleared is not cleared: the cycle is computed
     without that command, which is refused.
     """
-    before, config = state, state.changed_config or config
+    before, at_boot, config = state, config, state.changed_config or config
     turning = None if state.move is None else _get_turning(state.move)
-    readings, sensors, found = judge(config.readings, state.readings, sensors, turning, state.drive)
-    usable = bool(readings.used)
+    readings, used, found = judge(config.readings, state.readings, sensors, turning, state.drive)
     structure_C, structure_readings = state.structure_C, state.structure_readings
-    begins = readings.history.begins
-    if begins:
-        structure_readings = 0
-    if usable and (begins or state.tick % config.params.motion.load_period_cycles == 0):
-        structure_C, structure_readings = _filter_structure(
-            config, structure_C, structure_readings, sensors.structure_C
-        )
+    is_due = readings.history.begins or state.tick % config.params.motion.load_period_cycles == 0
+    if is_due and readings.used:
+        structure_C, structure_readings = _filter_structure(config, state, used.structure_C, readings)
         # a move and its protection keep the arm that the move was planned with
         if state.move is None and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
             config = configure_at(config, structure_C)
             state = replace(state, changed_config=config)
-    joints, load, tool_channels = _estimate(config, state, sensors, readings)
-    state, joints, decided = _decide(config, state, joints, load, sensors, commands, readings)
+    joints, load, tool_channels = _estimate(config, state, used, readings)
+    state, joints, decided = _decide(config, state, joints, load, used, commands, readings)
     if state.readings is not before.readings and state.readings is not readings:
         # the ground has ordered to use what is read
         readings = state.readings
         found = tuple(evr for evr in found if not isinstance(evr, ReadingImplausible))
     # without a move, the last set-point is the motor angle by the encoder zero of this cycle
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
-    moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
+    moved, joints, preload, backlash_rad = _move(config, state, joints, load, used, bool(readings.used))
     backlash_state = joints.backlash_state
     arm = describe_arm(moved.mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
-        config.protection, state.monitors, moved.fault, arm, sensors, readings, last_rad, found, moved.evrs
+        config.protection, state.monitors, moved.fault, arm, used, readings, last_rad, found, moved.evrs
     )
     after = moved if decision is None else apply_decision(config, moved, decision, joints)
     # built once: a `replace` in each stage would copy all fields each time
@@ -75,7 +70,7 @@ def step(
         tool=state.tool,
         joints=joints,
         load=load,
-        planned_backlash_rad=planned_backlash_rad,
+        planned_backlash_rad=backlash_rad,
         move=after.move,
         preload=preload,
         sequence=after.sequence,
@@ -90,15 +85,22 @@ def step(
     )
     evrs = decided + after.evrs
     if commands and (fault := _find_uncleared(evrs)) is not None:
-        return _refuse_clear(step(config, before, sensors, _without_clear(commands)), commands, fault)
+        return _refuse_clear(step(at_boot, before, sensors, _without_clear(commands)), commands, fault)
+    if before.tick == 0 or state.mode is not before.mode:
+        evrs = _report_changes(config, before, state, evrs)
+    channels = joint_channels(before.tick, state, backlash_state)
+    is_told = tool_channels is not None or readings.history is not before.readings.history
+    validity = reading_channels(before.tick, readings) if is_told else None
+    return state, Outputs(state.drive, channels, tool_channels, evrs, validity)
+
+
+def _report_changes(config: Config, before: State, state: State, evrs: tuple[Evr, ...]) -> tuple[Evr, ...]:
+    """Report the first cycle and a change of the mode, beside the other events."""
     if before.tick == 0:
         evrs = (Booted(config.params_sha256), *evrs)
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
-    channels = joint_channels(before.tick, state, backlash_state)
-    is_told = tool_channels is not None or readings.history is not before.readings.history
-    reading = reading_channels(before.tick, readings) if is_told else None
-    return state, Outputs(state.drive, channels, tool_channels, evrs, reading)
+    return evrs
 
 
 def _find_uncleared(evrs: tuple[Evr, ...]) -> Fault | None:
@@ -128,11 +130,14 @@ def _get_turning(move: Move) -> Flags:
     return ALL_JOINTS if move.phase is Phase.BRAKE else move.plan.active
 
 
-def _filter_structure(config: Config, before_C: float, before: int, reading_C: float) -> tuple[float, int]:
+def _filter_structure(
+    config: Config, state: State, reading_C: float, judged: ReadingState
+) -> tuple[float, int]:
     """Filter the temperature of the structure in each load period, from the mean of first readings on."""
-    period_s, readings = CYCLE_S * config.params.motion.load_period_cycles, before + 1
+    period_s = CYCLE_S * config.params.motion.load_period_cycles
+    readings = 1 if judged.history.begins else state.structure_readings + 1
     share = min(max(period_s / config.params.heat.filter_s, 1 / readings), 1.0)
-    return before_C + share * (reading_C - before_C), readings
+    return state.structure_C + share * (reading_C - state.structure_C), readings
 
 
 def _estimate(

@@ -188,7 +188,7 @@ def allowed_change(config: Config, start: Start, draw: Draw, cycle: int) -> floa
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a draw showed."""
+    """Outcome of a draw."""
 
     state: str
     kind: str

@@ -163,7 +163,7 @@ class Near:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """What changes in few cycles; numbers in the order of SENSORS."""
+    """Part of the history that changes in few cycles; numbers in the order of SENSORS."""
 
     last: Numbers = ()
     """Last plausible numbers; kept where they are older than those that are used."""
