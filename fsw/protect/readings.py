@@ -462,7 +462,8 @@ def _describe(
             return sensor, pull_m_s2, bounds.gravity_min_m_s2, bounds.gravity_max_m_s2
     start = next(places.start for name, places in SENSORS if name == sensor)
     where = "" if sensor == "structure_C" else f"[{','.join(str(k - start) for k in numbers)}]"
-    return f"{sensor}{where}", float(read[first]), float(limits[0][first]), float(limits[1][first])
+    low, high = max(limits[0][first], bounds.lowest[first]), min(limits[1][first], bounds.highest[first])
+    return f"{sensor}{where}", float(read[first]), float(low), float(high)
 
 
 def _choose(

@@ -153,6 +153,7 @@ def test_a_wild_number_is_a_fault_when_it_lasts_and_never_sooner(name, place, wi
         for evr in watch.evrs:
             assert evr.sensor == name_of(name, place)
             assert len(evr.message) < 120
+            assert np.isfinite([evr.lowest, evr.highest]).all()
     watch.judge()
     assert watch.evrs == ()
 
