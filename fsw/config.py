@@ -10,6 +10,7 @@ from fsw.dictionary.params import Params, digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.transforms import Array
 from fsw.protect.inputs import ProtectionBounds, compute_bounds
+from fsw.protect.readings import ReadingBounds, compute_reading_bounds
 
 CYCLE_HZ = 64
 CYCLE_S = 1.0 / CYCLE_HZ
@@ -28,6 +29,7 @@ class Config:
     farthest_tool: str
     """Tool at the greatest distance from the turret axis."""
     protection: ProtectionBounds
+    readings: ReadingBounds
     rad_per_count: Array
     """Angle on the output side for one encoder count."""
     half_backlash_rad: Array
@@ -70,6 +72,7 @@ def configure(params: Params) -> Config:
         calibrated_arm=arm,
         farthest_tool=max(arm.X_FT, key=lambda name: float(np.hypot(*arm.X_FT[name].p[:2]))),
         protection=compute_bounds(params, arm, CYCLE_S),
+        readings=compute_reading_bounds(params, CYCLE_S),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_backlash_rad=np.array([0.5 * j.backlash_rad for j in joints]),
         hardstop_rad=np.array([j.hardstop_rad for j in joints]),

@@ -1,57 +1,70 @@
-"""One control cycle: estimate, decide, move, protect; from sensors and commands to outputs."""
+"""One control cycle: judge readings, estimate, decide, move, protect; sensors and commands give outputs."""
 
 from dataclasses import replace
 
 from fsw.config import CYCLE_S, Config, configure_at
 from fsw.dictionary.arguments import Wrong, read_arguments
-from fsw.dictionary.commands import Command
-from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.commands import ClearFault, Command
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.evrs import Booted, CommandRefused, Evr, FaultCleared, FaultResponse, ModeChanged
+from fsw.dictionary.faults import Fault, ReadingImplausible
 from fsw.estimate.joints import (
     JointEstimate,
     LoadEstimate,
     apply_calibration,
+    begin_joints,
     locate_at_rest,
+    no_load,
     note_braked,
     update_joints,
     update_load,
 )
 from fsw.executive.commands import continue_planning, continue_sequence, handle
-from fsw.executive.context import CommandContext, known_names, refuse
+from fsw.executive.context import CommandContext, command_name, known_names, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
-from fsw.messages import Outputs, Sensors, ToolChannels
-from fsw.motion.move import Move, Phase, advance_move, command_actuators, move_preload
+from fsw.messages import Flags, Outputs, Sensors, ToolChannels
+from fsw.motion.move import ALL_JOINTS, Move, Phase, advance_move, command_actuators, move_preload
 from fsw.motion.preload import PreloadState
-from fsw.protect.inputs import check_readings
 from fsw.protect.monitors import protect
+from fsw.protect.readings import ReadingState, judge, reading_channels
 from fsw.state import State, joint_channels
 
 
 def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
-    """Compute one control cycle, from arguments alone; `state.changed_config` replaces that at boot."""
-    before, config = state, state.changed_config or config
-    unusable = check_readings(config.protection, sensors)
-    usable = not unusable
-    structure_C, readings = state.structure_C, state.structure_readings
-    if usable and state.tick % config.params.motion.load_period_cycles == 0:
-        structure_C, readings = _filter_structure(config, state, sensors.structure_C)
+    """Compute one control cycle, from arguments alone; `state.changed_config` replaces that at boot.
+
+    A fault that is found in the cycle in which it would be cleared is not cleared: the cycle is computed
+    without that command, which is refused.
+    """
+    before, at_boot, config = state, config, state.changed_config or config
+    turning = None if state.move is None else _get_turning(state.move)
+    readings, used, found = judge(config.readings, state.readings, sensors, turning, state.drive)
+    structure_C, structure_readings = state.structure_C, state.structure_readings
+    is_due = readings.history.begins or state.tick % config.params.motion.load_period_cycles == 0
+    if is_due and readings.used:
+        structure_C, structure_readings = _filter_structure(config, state, used.structure_C, readings)
         # a plan, its move and its protection keep the arm that they began with
         is_kept = state.planning is not None or state.move is not None
         if not is_kept and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
             config = configure_at(config, structure_C)
             state = replace(state, changed_config=config)
-    joints, load, tool_channels = _estimate(config, state, sensors, usable)
-    state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
+    joints, load, tool_channels = _estimate(config, state, used, readings)
+    state, joints, decided = _decide(config, state, joints, load, used, commands, readings)
+    if state.readings is not before.readings and state.readings is not readings:
+        # the ground has ordered to use what is read
+        readings = state.readings
+        found = tuple(evr for evr in found if not isinstance(evr, ReadingImplausible))
     # without a move, the last set-point is the motor angle by the encoder zero of this cycle
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
-    moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
+    moved, joints, preload, backlash_rad = _move(config, state, joints, load, used, bool(readings.used))
     backlash_state = joints.backlash_state
     mode = moved.mode if state.planning is None else state.rest_mode
     arm = describe_arm(mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
-        config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
+        config.protection, state.monitors, moved.fault, arm, used, readings, last_rad, found, moved.evrs
     )
     after = moved if decision is None else apply_decision(config, moved, decision, joints)
     # built once: a `replace` in each stage would copy all fields each time
@@ -61,7 +74,7 @@ def step(
         tool=state.tool,
         joints=joints,
         load=load,
-        planned_backlash_rad=planned_backlash_rad,
+        planned_backlash_rad=backlash_rad,
         planning=after.planning,
         move=after.move,
         preload=preload,
@@ -70,35 +83,79 @@ def step(
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
         structure_C=structure_C,
-        structure_readings=readings,
+        structure_readings=structure_readings,
         surface=state.surface,
         changed_config=state.changed_config,
+        readings=readings,
     )
     evrs = decided + after.evrs
+    if commands and (fault := _find_uncleared(evrs)) is not None:
+        return _refuse_clear(step(at_boot, before, sensors, _without_clear(commands)), commands, fault)
+    if before.tick == 0 or state.mode is not before.mode:
+        evrs = _report_changes(config, before, state, evrs)
+    channels = joint_channels(before.tick, state, backlash_state)
+    is_told = tool_channels is not None or readings.history is not before.readings.history
+    validity = reading_channels(before.tick, readings) if is_told else None
+    return state, Outputs(state.drive, channels, tool_channels, evrs, validity)
+
+
+def _report_changes(config: Config, before: State, state: State, evrs: tuple[Evr, ...]) -> tuple[Evr, ...]:
+    """Report the first cycle and a change of the mode, beside the other events."""
     if before.tick == 0:
         evrs = (Booted(config.params_sha256), *evrs)
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
-    channels = joint_channels(before.tick, state, backlash_state)
-    return state, Outputs(state.drive, channels, tool_channels, evrs)
+    return evrs
 
 
-def _filter_structure(config: Config, state: State, reading_C: float) -> tuple[float, int]:
+def _find_uncleared(evrs: tuple[Evr, ...]) -> Fault | None:
+    """Find a fault that was found in the cycle in which one was cleared."""
+    kinds = {type(evr) for evr in evrs}
+    if not {FaultCleared, FaultResponse} <= kinds:
+        return None
+    return next(evr for evr in evrs if isinstance(evr, Fault))
+
+
+def _without_clear(commands: tuple[Command, ...]) -> tuple[Command, ...]:
+    return tuple(one for one in commands if not isinstance(one, ClearFault))
+
+
+def _refuse_clear(
+    cycle: tuple[State, Outputs], commands: tuple[Command, ...], fault: Fault
+) -> tuple[State, Outputs]:
+    """Refuse to clear a fault: report it before the events of the cycle that was computed without."""
+    state, outputs = cycle
+    reason = f"it is still there: {fault.message}"
+    refused = [CommandRefused(command_name(one), reason) for one in commands if isinstance(one, ClearFault)]
+    return state, replace(outputs, evrs=(*refused, *outputs.evrs))
+
+
+def _get_turning(move: Move) -> Flags:
+    """Return the motors that may have turned since the last readings; brakes may not act yet."""
+    return ALL_JOINTS if move.phase is Phase.BRAKE else move.plan.active
+
+
+def _filter_structure(
+    config: Config, state: State, reading_C: float, judged: ReadingState
+) -> tuple[float, int]:
     """Filter the temperature of the structure in each load period, from the mean of first readings on."""
-    period_s, readings = CYCLE_S * config.params.motion.load_period_cycles, state.structure_readings + 1
+    period_s = CYCLE_S * config.params.motion.load_period_cycles
+    readings = 1 if judged.history.begins else state.structure_readings + 1
     share = min(max(period_s / config.params.heat.filter_s, 1 / readings), 1.0)
     return state.structure_C + share * (reading_C - state.structure_C), readings
 
 
 def _estimate(
-    config: Config, state: State, sensors: Sensors, usable: bool
+    config: Config, state: State, sensors: Sensors, readings: ReadingState
 ) -> tuple[JointEstimate, LoadEstimate, ToolChannels | None]:
     """Estimate joint angles in each cycle, load and tool pose in each load period.
 
-    With unusable readings the last estimate stays.
+    With unusable readings the last estimate stays; where readings begin, so does the estimate.
     """
-    if not usable:
+    if not readings.used:
         return state.joints, state.load, None
+    if readings.history.begins:
+        state = replace(state, joints=begin_joints(config, state.joints), load=no_load(len(Joint)))
     joints = update_joints(config, state.joints, sensors)
     if state.load.known and state.tick % config.params.motion.load_period_cycles != 0:
         return joints, state.load, None
@@ -114,12 +171,13 @@ def _decide(
     load: LoadEstimate,
     sensors: Sensors,
     commands: tuple[Command, ...],
-    usable: bool,
+    readings: ReadingState,
 ) -> tuple[State, JointEstimate, tuple[Evr, ...]]:
     """Handle the commands, go on with a plan, then begin the next step of a sequence that waits."""
     if not commands and state.planning is None and (state.sequence is None or state.move is not None):
         return state, joints, ()
-    context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
+    known = replace(state, joints=joints, load=load, readings=readings)
+    context = CommandContext(known, readings.usable, closed=sensors.switch_closed)
     for command in commands:
         context = _receive(context.state.changed_config or config, context, command)
     # a command that has just arrived is planned from the next cycle on

@@ -69,6 +69,38 @@ class ToolChannels:
     """Estimated torque of the load on each joint, order of Joint."""
 
 
+@cycle_record
+class ReadingChannels:
+    """Validity of the readings, when it changes and at the rate of the tool channels."""
+
+    tick: int
+    """Number of the cycle since boot."""
+    encoder_valid: NDArray[np.bool_]
+    """True for readings that were plausible and are used."""
+    resolver_valid: NDArray[np.bool_]
+    """True for readings that were plausible and are used."""
+    current_valid: NDArray[np.bool_]
+    """True for readings that were plausible and are used."""
+    winding_valid: NDArray[np.bool_]
+    """True for readings that were plausible and are used."""
+    gravity_valid: bool
+    """True if the reading was plausible and is used."""
+    structure_valid: bool
+    """True if the reading was plausible and is used."""
+    encoder_unused_count: NDArray[np.int64]
+    """Number of readings since boot that were not used."""
+    resolver_unused_count: NDArray[np.int64]
+    """Number of readings since boot that were not used."""
+    current_unused_count: NDArray[np.int64]
+    """Number of readings since boot that were not used."""
+    winding_unused_count: NDArray[np.int64]
+    """Number of readings since boot that were not used."""
+    gravity_unused_count: int
+    """Number of readings since boot that were not used."""
+    structure_unused_count: int
+    """Number of readings since boot that were not used."""
+
+
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -126,3 +158,5 @@ class Outputs:
     """Channels of the tool; None in cycles that do not refresh them."""
     evrs: tuple[Evr, ...]
     """Event reports of the cycle, in order."""
+    readings: ReadingChannels | None = None
+    """Channels of the readings; None in cycles that do not refresh them."""

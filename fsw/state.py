@@ -1,7 +1,7 @@
 """State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
+from fsw.dictionary.evrs import Evr
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
@@ -18,6 +19,7 @@ from fsw.motion.move import Move
 from fsw.motion.preload import PreloadState
 from fsw.motion.work import Work
 from fsw.protect.monitors import MonitorState
+from fsw.protect.readings import ReadingState
 from fsw.protect.responses import StandingFault
 
 
@@ -40,6 +42,9 @@ class Sequence:
     remaining: tuple[SequenceStep, ...]
 
 
+NO_READINGS: Final = ReadingState()
+
+
 @cycle_record
 class Planning:
     """Command that is being planned while the arm rests on its brakes."""
@@ -49,6 +54,8 @@ class Planning:
     """Mode of the arm before and, after a refusal, again."""
     surface: TargetSurface | None
     """Surface that the command is to keep away from."""
+    events: tuple[Evr, ...]
+    """Events to report when the command begins, on what it was planned from."""
     work: Work[Any]
     """Work that is left."""
 
@@ -84,6 +91,8 @@ class State:
     """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""
+    readings: ReadingState = NO_READINGS
+    """Readings of the last cycles, by which the next ones are judged."""
 
     @property
     def is_busy(self) -> bool:

@@ -25,6 +25,8 @@ from sim.frames import FLIP
 from sim.mujoco_settings import RESISTANCE
 from sim.plant import Plant, as_slice
 
+HEATING_K: Final = 0.5
+"""Largest change in a cycle of the temperature around a motor: half of what a reading may change."""
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0
 VIBRATION_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -45,6 +47,7 @@ class Avionics:
         self._motors = motors
         self._integral = model.actuator_actadr[motors]
         self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
+        self._ambient_C = hardware.ambient_C
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
         self._touch = as_slice(model.sensor_adr[switches])
@@ -117,7 +120,7 @@ class Avionics:
             encoder_count=self.encoder_count(),
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + noise[5:10],
-            winding_C=hardware.ambient_C + self._update_winding_rise(current),
+            winding_C=self._update_ambient() + self._update_winding_rise(current),
             structure_C=hardware.structure_C + hardware.structure_offset_K + float(noise[13]),
             switch_closed=self._update_switches(),
             gravity_R_m_s2=self._gravity_R + noise[10:13],
@@ -148,6 +151,13 @@ class Avionics:
         bound_N = np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
         self._closed = self._plant.data.sensordata[self._touch] > bound_N
         return self._closed
+
+    def _update_ambient(self) -> Array:
+        """Update the temperatures around the motors [degC], shape (5,), which do not jump."""
+        if self._ambient_C is not self._hardware.ambient_C:
+            change_K = np.clip(self._hardware.ambient_C - self._ambient_C, -HEATING_K, HEATING_K)
+            self._ambient_C = self._ambient_C + change_K if change_K.any() else self._hardware.ambient_C
+        return self._ambient_C
 
     def _update_winding_rise(self, current_A: Array) -> Array:
         """Update the rise of the windings over ambient [K], shape (5,).

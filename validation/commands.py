@@ -1,8 +1,9 @@
 """Campaign of commands: random ones of right and wrong types in the closed loop, from huge to tiny numbers.
 
-Flight software must not end with an exception or a warning. A cycle whose commands are all refused must drive
-the actuators, to the last bit, as one without commands. Values are drawn from the annotations of a command,
-so that a new command or field needs nothing here.
+Some readings are wrong, by any size. Flight software must not end with an exception or a warning. While a
+fault stands the brakes are on, and at the end of a run a stop brings the arm to rest on its brakes. A cycle
+whose commands are all refused must drive the actuators, to the last bit, as one without commands. Values are
+drawn from the annotations of a command, so that a new command or field needs nothing here.
 """
 
 import warnings
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from decimal import Decimal
 from enum import IntEnum
+from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -18,21 +20,30 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.cycle import step
-from fsw.dictionary.commands import ClearFault, Command, MoveJoints, SetParam, Stop, Stow
+from fsw.dictionary.commands import ClearFault, Command, MoveJoints, Preload, SetParam, Stop, Stow
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused
 from fsw.dictionary.params import Params, TeachPoint
-from fsw.dictionary.types import DirectionMark, Limits, NameMark
+from fsw.dictionary.types import DirectionMark, Limits, NameMark, joints5
 from fsw.executive.context import known_names
 from fsw.messages import ActuatorCommand, Sensors
 from fsw.state import Hold, State
-from sim.arms import arm_named
-from sim.initialisation import start_loop
-from sim.loop import ClosedLoop
+from sim.arms import BuiltArm, arm_named
+from sim.initialisation import start_loop, true_reference
+from sim.loop import ClosedLoop, Setup
+from sim.placement import place_command, random_placement
 from sim.record import CycleRecord
+from sim.sequence import run_sequence
 from simgap.common.errors import BadRequest
 from validation.campaigns import Context, Document
+from validation.wild_readings import Draw, draw_reading
 
+WRONG_SHARE: Final = 0.02
+"""Share of cycles with a wrong reading."""
+END_CYCLES: Final = 2000
+"""Cycles in which a stop must bring any arm to rest."""
+MOST_FORCE: Final = 1.5
+"""Largest contact force at the end, as a share of the largest that may be commanded."""
 RUN_CYCLES: Final = 500
 """Cycles from a start of the arm; after more, most arms have a standing fault or unfit parameters."""
 COMMAND_SHARE: Final = {True: 0.1, False: 0.6}
@@ -68,19 +79,67 @@ def fuzz_run(seed: int, number: int, cycles: int) -> RunResult:
             sent = random.integers(1, MOST_COMMANDS + 1) if random.random() < share else 0
             commands = tuple(draw_command(random, loop.config.params) for _ in range(sent))
             before, commands_sent = loop.state, commands_sent + len(commands)
-            record = loop.cycle(commands)
+            record = cycle_with(loop, commands, draw_wrong(random))
             accepted.update(evr.command for evr in record.outputs.evrs if isinstance(evr, CommandAccepted))
             refused.update(evr.command for evr in record.outputs.evrs if isinstance(evr, CommandRefused))
             bugs += [f"run {number}, cycle {done}: {bug}" for bug in find_bugs(loop, before, record)]
             if loop.failure is not None:
                 return RunResult(done + 1, commands_sent, dict(accepted), dict(refused), tuple(bugs))
+        bugs += [f"run {number}: {bug}" for bug in find_unsafe_end(loop)]
     return RunResult(cycles, commands_sent, dict(accepted), dict(refused), tuple(bugs))
 
 
+def draw_wrong(random: np.random.Generator) -> Draw | None:
+    """Draw a wrong reading, in few cycles."""
+    return draw_reading(random, "once") if random.random() < WRONG_SHARE else None
+
+
+def cycle_with(loop: ClosedLoop, commands: tuple[Command, ...], wrong: Draw | None) -> CycleRecord:
+    """Run a cycle with a wrong reading, or without one."""
+    if wrong is None:
+        return loop.cycle(commands)
+    avionics, sense = vars(loop.avionics), loop.avionics.sense
+    avionics["sense"] = lambda: wrong.corrupt(sense())
+    try:
+        return loop.cycle(commands)
+    finally:
+        del avionics["sense"]
+
+
+def find_unsafe_end(loop: ClosedLoop) -> list[str]:
+    """Describe an arm that a stop does not bring to rest on its brakes, or that presses too hard."""
+    record = loop.cycle((Stop(),))
+    for _ in range(END_CYCLES):
+        if not record.outputs.joint.busy:
+            break
+        record = loop.cycle()
+    force_N, most_N = loop.truth().contact_force_N, MOST_FORCE * loop.config.params.preload.max_force_N
+    bugs = [] if loop.braked else ["the arm is not on its brakes at the end"]
+    return bugs if force_N <= most_N else [*bugs, f"it presses with {force_N:.0f} N at the end"]
+
+
+@cache
+def pressed() -> ClosedLoop:
+    """Run an arm to a press of 300 N."""
+    arm = with_point(arm_named("nominal"))
+    world, preview = random_placement(0, arm, "drill", 0.0)
+    place = place_command(preview.placement)
+    loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), 0, true_reference(arm)))
+    for _ in run_sequence(loop, (place, Preload("drill", 300.0))):
+        pass
+    return loop
+
+
+def with_point(arm: BuiltArm) -> BuiltArm:
+    """Return the arm with a taught point."""
+    return replace(arm, params=replace(arm.params, teach=(HERE,)))
+
+
 def start(number: int) -> ClosedLoop:
-    """Start an arm with a taught point: in turn stowed, ready, and where joints find hardstops."""
-    arm = arm_named("nominal")
-    arm = replace(arm, params=replace(arm.params, teach=(HERE,)))
+    """Start an arm with a taught point: in turn stowed, ready, where joints find hardstops, and pressing."""
+    if number % 4 == 3:
+        return pressed().fork()
+    arm = with_point(arm_named("nominal"))
     poses = (arm.params.poses.stowed_rad, arm.params.poses.ready_rad, arm.params.hardstop.start_rad)
     return start_loop(arm, start_rad=poses[number % len(poses)], seed=number, with_truth=False)
 
@@ -89,6 +148,10 @@ def find_bugs(loop: ClosedLoop, before: State, record: CycleRecord) -> list[str]
     """Describe what a cycle shows that must not be."""
     if loop.failure is not None:
         return [f"{type(loop.failure).__name__}: {loop.failure}; commands {record.commands!r:.2000}"]
+    drive, mode = record.outputs.drive, record.outputs.joint.mode
+    unsafe = mode is Mode.FAULTED and (drive.brake_release.any() or drive.setpoint_rate_rad_s.any())
+    if unsafe:
+        return ["a fault stands, and the brakes are not on"]
     reasons = [evr.reason for evr in record.outputs.evrs if isinstance(evr, CommandRefused)]
     bugs = [f"a reason of {len(reason)} characters" for reason in reasons if len(reason) > LONGEST_REASON]
     if record.commands and len(reasons) >= len(record.commands):
@@ -103,8 +166,9 @@ def _find_change(config: Config, before: State, sensors: Sensors, record: CycleR
     refused = sum(isinstance(evr, CommandRefused) for evr in record.outputs.evrs) - len(others)
     if refused != len(record.commands):
         return []
-    left = [evr for evr in record.outputs.evrs if not isinstance(evr, CommandRefused)]
-    same_events = left == [evr for evr in quiet.evrs if not isinstance(evr, CommandRefused)]
+    # by their texts: a reading that is no number differs from itself
+    left = [evr.message for evr in record.outputs.evrs if not isinstance(evr, CommandRefused)]
+    same_events = left == [evr.message for evr in quiet.evrs if not isinstance(evr, CommandRefused)]
     drive, still = record.outputs.drive, quiet.drive
     same_drive = all(np.array_equal(getattr(drive, name), getattr(still, name)) for name in DRIVE_FIELDS)
     if same_events and same_drive and state.mode is Mode(record.outputs.joint.mode):

@@ -224,6 +224,19 @@ class CyclesSkipped(Evr):
 
 
 @dataclass(frozen=True, slots=True)
+class ReadingNotUsed(Evr):
+    """A reading is not plausible and is not used; the next ones are told only after it was plausible."""
+
+    severity = Severity.WARNING_LO
+    text = "{e.sensor} reads {e.value:.7g}, plausible is {e.lowest:.7g} .. {e.highest:.7g}; not used"
+    sensor: str
+    """Channel of the reading, and its index."""
+    value: float
+    lowest: float
+    highest: float
+
+
+@dataclass(frozen=True, slots=True)
 class FaultResponse(Evr):
     """Flight software responded to a fault."""
 

@@ -98,31 +98,15 @@ class ResolverDisagrees(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class SensorNotFinite(Fault):
-    """A reading was NaN or infinite."""
+class ReadingImplausible(Fault):
+    """A reading has not been plausible for as long as its persistence."""
 
-    text = "non-finite reading in {e.sensor}"
+    text = "{e.sensor} reads {e.value:.7g}, plausible is {e.lowest:.7g} .. {e.highest:.7g}"
     sensor: str
-
-
-@dataclass(frozen=True, slots=True)
-class GravityImplausible(Fault):
-    """The gravity reading is outside the range in which the arm works."""
-
-    text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bounds {e.min_m_s2:.3g} .. {e.max_m_s2:.3g} m/s2"
-    gravity_m_s2: float
-    min_m_s2: float
-    max_m_s2: float
-
-
-@dataclass(frozen=True, slots=True)
-class StructureTemperatureImplausible(Fault):
-    """The temperature reading of the structure is outside the range in which an arm can be."""
-
-    text = "structure reads {e.structure_C:.1f} degC, bounds {e.min_C:.1f} .. {e.max_C:.1f} degC"
-    structure_C: float
-    min_C: float
-    max_C: float
+    """Channel of the reading, and its index."""
+    value: float
+    lowest: float
+    highest: float
 
 
 @dataclass(frozen=True, slots=True)

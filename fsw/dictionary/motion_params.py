@@ -125,6 +125,8 @@ class MonitorParams:
     """Lowest plausible gravity."""
     gravity_max_m_s2: Annotated[float, Limits(1.0, 30.0)]
     """Highest plausible gravity."""
+    gravity_step_m_s2: Annotated[float, Limits(0.01, 10.0)]
+    """Largest change of a component of gravity from reading to reading."""
     setpoint_step_factor: Annotated[float, Limits(1.0, 3.0)]
     """Largest change of a set-point per cycle, in units of joint speed times cycle time."""
     following_error_rad: Annotated[float, Limits(1e-5, 0.1)]
@@ -158,6 +160,12 @@ class MonitorParams:
     """Lowest plausible temperature of the structure."""
     structure_max_C: Annotated[float, Limits(0.0, 100.0)]
     """Highest plausible temperature of the structure."""
+    structure_step_K: Annotated[float, Limits(0.01, 100.0)]
+    """Largest change of the temperature of the structure from reading to reading."""
+    winding_step_K: Annotated[float, Limits(0.01, 100.0)]
+    """Largest change of the temperature of a winding from reading to reading."""
+    reading_persistence: Annotated[int, Limits(2, 64)]
+    """Cycles in which a reading is not plausible."""
     frozen_persistence: Annotated[int, Limits(2, 6400)]
     """Cycles in which a reading stays the same to the last bit."""
     missed_cycles: Annotated[int, Limits(0, 64)]

@@ -139,6 +139,11 @@ def update_joints(config: Config, last: JointEstimate, sensors: Sensors) -> Join
     )
 
 
+def begin_joints(config: Config, last: JointEstimate) -> JointEstimate:
+    """Begin the estimate anew: nothing is known but the reference, and gravity that the ground has set."""
+    return replace(uninitialised_estimate(config, last.reference), down_R=last.down_R)
+
+
 def _initialise(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstimate:
     """Initialise the motor angles from the first readings."""
     # the resolvers give the encoder zeros of joints that were never calibrated

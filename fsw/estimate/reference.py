@@ -113,9 +113,9 @@ def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readin
     The line begins where the gear takes up torque again.
     """
     params = config.params.joints.in_order()[joint]
-    angle, push = towards.motor_rad, -towards.torque_Nm
-    if push.size < MIN_READINGS:
+    if towards.motor_rad.size < MIN_READINGS:
         return None
+    angle, push = towards.motor_rad, -_without_spikes(towards.torque_Nm)
     relieved = max(0.0, -(load_Nm + params.output_friction_Nm))
     crossing_rad = 2 * config.half_backlash_rad[joint] * BACKLASH_FACTOR[1] if relieved > 0 else 0.0
     low, high = (relieved + share * (params.hardstop_press_Nm - relieved) for share in RISE)
@@ -131,6 +131,13 @@ def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readin
             return None
         level = float(running.mean())
     return ContactLine(contact, level, compliance)
+
+
+def _without_spikes(torque_Nm: Array) -> Array:
+    """Return each torque as the median of it and its neighbours: a single wrong reading has no effect."""
+    middle = np.median(np.stack((torque_Nm[:-2], torque_Nm[1:-1], torque_Nm[2:])), axis=0)
+    smooth: Array = np.concatenate((torque_Nm[:1], middle, torque_Nm[-1:]))
+    return smooth
 
 
 def _fit_line(angle: Array, rise: Array, low: float, high: float) -> tuple[float, float] | None:
@@ -154,7 +161,7 @@ def measure_backlash(
     taken_up = friction - load_Nm
     if taken_up < MAX_LOAD_SHARE * friction:
         return None
-    angle, push, compliance = away.motor_rad, away.torque_Nm, press.compliance_rad_Nm
+    angle, push, compliance = away.motor_rad, _without_spikes(away.torque_Nm), press.compliance_rad_Nm
     final = float(push[angle > angle.max() - BEYOND * nominal].mean())
     crossing = final - taken_up
     for _ in range(PASSES):
@@ -235,6 +242,13 @@ def no_reference(config: Config) -> Reference:
     zeros = np.zeros_like(config.half_backlash_rad)
     never = np.zeros(zeros.size, bool)
     return Reference(never, never, zeros, config.half_backlash_rad, zeros, np.full(zeros.size, np.inf))
+
+
+def recount_joint(reference: Reference, joint: int, shift_rad: float) -> Reference:
+    """Shift the encoder zero of a joint whose counter has jumped; the joint must be calibrated again."""
+    this = np.arange(reference.zero_rad.size) == joint
+    shifted = np.where(this, reference.zero_rad + shift_rad, reference.zero_rad)
+    return replace(forget_joint(reference, joint), zero_rad=shifted)
 
 
 def forget_joint(reference: Reference, joint: int) -> Reference:

@@ -45,7 +45,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.estimate.reference import forget_joint
+from fsw.estimate.reference import forget_joint, recount_joint
 from fsw.executive.backlash import assess_backlash
 from fsw.executive.context import (
     EVENT_OF,
@@ -92,6 +92,7 @@ from fsw.motion.preload import (
     preload_limit_A,
 )
 from fsw.motion.work import Work
+from fsw.protect.readings import ReadingState, accept_present
 from fsw.state import Hold, Planning, Sequence, SequenceStep
 
 
@@ -145,7 +146,7 @@ def continue_planning(config: Config, context: CommandContext) -> CommandContext
     if isinstance(result, PressPlan):
         return _begin_press(config, context, planning.command, result)
     if isinstance(planning.command, CompoundCommand):
-        return _begin_sequence(config, context, planning.command, result, planning.surface)
+        return _begin_sequence(config, context, planning, result)
     assert isinstance(planning.command, SingleMoveCommand)  # no other command is planned
     return _begin_move(config, context, planning.command, result.plans, planning.surface)
 
@@ -185,13 +186,28 @@ def clear_fault(config: Config, context: CommandContext, command: ClearFault) ->
         return refuse(context, command, "no fault stands")
     if context.state.move is not None:
         return refuse(context, command, "the arm is still being stopped")
+    accepted = accept_present(config.readings, context.state.readings)
+    if isinstance(accepted, str):
+        return refuse(context, command, accepted)
     context = end_planning(context)
     if context.state.sequence is not None:
         context = end_sequence(context, CommandAborted(context.state.sequence.command))
+    context = _use_present(config, context, *accepted)
     tool = _touching_tool(config, context) if mode is Mode.GUARDED else context.state.tool
     state = replace(context.state, mode=mode, tool=tool, preload=tool_preload(context, tool), fault=None)
     context = replace(context, state=state)
     return with_events(context, FaultCleared(), CommandCompleted(command_name(command)))
+
+
+def _use_present(
+    config: Config, context: CommandContext, readings: ReadingState, jumps: tuple[tuple[Joint, int], ...]
+) -> CommandContext:
+    """Use readings that stayed at a new value; a motor whose counter jumped is where it was."""
+    joints = context.state.joints
+    for joint, count in jumps:
+        shift_rad = -count * float(config.rad_per_count[joint])
+        joints = replace(joints, reference=recount_joint(joints.reference, joint, shift_rad))
+    return replace(context, state=replace(context.state, readings=readings, joints=joints))
 
 
 def stop_move(config: Config, context: CommandContext, command: Stop) -> CommandContext:
@@ -245,12 +261,17 @@ def _plan_motion(config: Config, context: CommandContext, command: MotionCommand
         check_ready(context) or check_arguments(config.params, command) or check_calibrated(context, command)
     )
     problem = problem or check_mode(context, EVENT_OF[type(command)])
+    events: tuple[Evr, ...] = ()
     match command:
         case GuardedMove() | Retract():
             problem = problem or _check_other_tool(context, command.tool)
         case ToolChange():
             problem = problem or _check_tool_change(config, context, command)
-            problem = problem or _check_backlash(config, context)
+            if problem is None:
+                undecided = assess_backlash(config, state.joints, state.tool)
+                problem = undecided.refusal(config.params.motion.spot_error_m)
+                spot = locate_spot(config, state.joints, state.tool, command)
+                events = (SpotSet(state.tool, *vector3(spot.p_m)), *undecided.events)
         case Dock():
             problem = problem or _check_other_tool(context, None)
         case _:
@@ -259,37 +280,32 @@ def _plan_motion(config: Config, context: CommandContext, command: MotionCommand
         return refuse(context, command, problem)
     surface = locate_surface(config, state.joints, state.tool, command, known_surface(config, context))
     work = plan_command(Start(state.joints, state.tool, surface), command)
-    return _plan(context, command, work, surface)
+    return _plan(context, command, work, surface, *events)
 
 
 def _plan(
-    context: CommandContext, command: SequenceStep, work: Work[Any], surface: TargetSurface | None
+    context: CommandContext,
+    command: SequenceStep,
+    work: Work[Any],
+    surface: TargetSurface | None,
+    *events: Evr,
 ) -> CommandContext:
     """Begin the planning of a command, which the arm awaits on its brakes."""
     state = context.state
-    planning = Planning(command, state.mode, surface, work)
+    planning = Planning(command, state.mode, surface, events, work)
     mode = TRANSITIONS[state.mode, ModeEvent.PLAN]
     return replace(context, state=replace(state, mode=mode, planning=planning))
 
 
 def _begin_sequence(
-    config: Config,
-    context: CommandContext,
-    command: CompoundCommand,
-    planned: PlannedSequence,
-    surface: TargetSurface | None,
+    config: Config, context: CommandContext, planning: Planning, planned: PlannedSequence
 ) -> CommandContext:
     """Begin a compound command with its first step; the others are planned again when they begin."""
-    state = context.state
-    evrs: tuple[Evr, ...] = ()
-    if isinstance(command, ToolChange):
-        spot = locate_spot(config, state.joints, state.tool, command)
-        undecided = assess_backlash(config, state.joints, state.tool)
-        evrs = (SpotSet(state.tool, *vector3(spot.p_m)), *undecided.events)
     first, *others = planned.commands
     assert isinstance(first, SingleMoveCommand)  # every expansion begins with a move
-    begun = _begin_move(config, _accept(context, command, *evrs), first, planned.plans[:1], surface)
-    sequence = Sequence(command_name(command), tuple(others))
+    context = _accept(context, planning.command, *planning.events)
+    begun = _begin_move(config, context, first, planned.plans[:1], planning.surface)
+    sequence = Sequence(command_name(planning.command), tuple(others))
     return replace(begun, state=replace(begun.state, sequence=sequence))
 
 
@@ -308,12 +324,6 @@ def _check_tool_change(config: Config, context: CommandContext, command: ToolCha
     if in_contact(config, context, context.state.tool):
         return None
     return f"{context.state.tool} touches nothing: there is no spot to go back to"
-
-
-def _check_backlash(config: Config, context: CommandContext) -> str | None:
-    """Check that the spot of the present tool is known well enough, whatever backlash is undecided."""
-    undecided = assess_backlash(config, context.state.joints, context.state.tool)
-    return undecided.refusal(config.params.motion.spot_error_m)
 
 
 def _check_other_tool(context: CommandContext, tool: str | None) -> str | None:

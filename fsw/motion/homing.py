@@ -101,6 +101,8 @@ class Homing:
     """Motor angle when it last turned by the least step that counts as motion."""
     anchor_ticks: int
     """Cycles since then."""
+    implausible_ticks: int = 0
+    """Cycles in a row in which the current was implausible."""
     assisting_load_Nm: float = 0.0
     """Part of the load that pushes the joint towards its hardstop, at least 0."""
     retreat: JointPath | None = None
@@ -179,6 +181,8 @@ def advance_homing(
         setpoint=setpoint,
     )
     homing = _track_motion(inputs, replace(homing, assisting_load_Nm=max(0.0, -inputs.load_Nm)))
+    implausible = _find_implausible(inputs, homing)
+    homing = replace(homing, implausible_ticks=homing.implausible_ticks + 1 if implausible else 0)
     failure = _check_missed(inputs, homing) or _check_current(inputs, homing) or _check_stuck(inputs, homing)
     if failure is not None:
         return _fail(inputs, homing, failure)
@@ -222,10 +226,17 @@ def _check_missed(inputs: HomingInputs, homing: Homing) -> Evr | None:
 
 
 def _check_current(inputs: HomingInputs, homing: Homing) -> Evr | None:
-    """Check that the current is plausible: below its limit, and not against the motion.
+    """Check that the current is not implausible for as long as any reading may be.
 
     An implausible current sensor cannot bound the torque on the hardstop.
     """
+    if homing.implausible_ticks < inputs.config.params.monitors.reading_persistence:
+        return None
+    return CurrentImplausible(homing.joint, inputs.current_A, homing_limit_A(inputs.config, homing))
+
+
+def _find_implausible(inputs: HomingInputs, homing: Homing) -> bool:
+    """Return whether the current is above its limit, or against the motion."""
     limit = homing_limit_A(inputs.config, homing)
     too_much = homing.turned and abs(inputs.current_A) > MAX_READ_SHARE * limit + READ_NOISE_A
     steady = (
@@ -234,11 +245,8 @@ def _check_current(inputs: HomingInputs, homing: Homing) -> Evr | None:
         and homing.stage in (HomingStage.COARSE, HomingStage.FINE)
     )
     moving = steady and inputs.rate_rad_s < -MIN_SPEED_SHARE * _speed(inputs, homing)
-    if not too_much and not (
-        moving and inputs.current_A > READ_NOISE_A + _load_current_A(inputs.config, homing)
-    ):
-        return None
-    return CurrentImplausible(homing.joint, inputs.current_A, limit)
+    against = moving and inputs.current_A > READ_NOISE_A + _load_current_A(inputs.config, homing)
+    return too_much or against
 
 
 def _check_stuck(inputs: HomingInputs, homing: Homing) -> Evr | None:
@@ -332,13 +340,17 @@ def _is_stalled(inputs: HomingInputs, homing: Homing) -> bool:
 
 
 def _run(inputs: HomingInputs, homing: Homing, rate_rad_s: float) -> HomingUpdate:
-    """Advance the set-point at a steady speed, but at most `lead_rad` ahead of the motor."""
+    """Advance the set-point at a steady speed, but at most `lead_rad` ahead of the motor.
+
+    It goes back no faster than it goes on: the reading of the motor may be wrong within its bounds.
+    """
     j, lead = homing.joint, inputs.config.params.hardstop.lead_rad
     motor, rate = inputs.setpoint.motor_rad.copy(), np.zeros_like(inputs.setpoint.rate_rad_s)
-    wanted = motor[j] + rate_rad_s * CYCLE_S
-    motor[j] = (
-        max(wanted, inputs.motor_rad - lead) if rate_rad_s < 0 else min(wanted, inputs.motor_rad + lead)
-    )
+    wanted, back = motor[j] + rate_rad_s * CYCLE_S, motor[j] - rate_rad_s * CYCLE_S
+    if rate_rad_s < 0:
+        motor[j] = min(max(wanted, inputs.motor_rad - lead), back)
+    else:
+        motor[j] = max(min(wanted, inputs.motor_rad + lead), back)
     rate[j] = rate_rad_s if motor[j] == wanted else 0.0
     return HomingUpdate(homing, Setpoint(motor, rate))
 

@@ -21,7 +21,7 @@ from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import held_on_flank
 from fsw.kinematics.transforms import Array, Flags
 from fsw.messages import Sensors
-from fsw.protect.inputs import ArmStatus, PressStatus, ProtectionBounds
+from fsw.protect.inputs import RECENT, ArmStatus, PressStatus, ProtectionBounds, take_median
 
 FULL_LEVER_M: Final = 1.0
 """Lever of all counted joints below which the bound rises: resolver errors look like larger forces."""
@@ -116,6 +116,8 @@ class ApproachState:
     """Resolver less estimated output without a force, slowly followed, (5,)."""
     force_N: float
     """Force on the tool, smoothed."""
+    recent_N: tuple[float, ...] = ()
+    """Forces by the last readings alone, the newest first."""
 
 
 def monitor_approach(
@@ -137,10 +139,14 @@ def monitor_approach(
     estimated = arm.motor_rad + arm.gear_rad + arm.resolver_bias_rad
     wound_rad = sensors.resolver_rad - estimated - last.rest_rad
     now_N = float(per_N @ wound_rad) / square
-    force_N = last.force_N + FORCE_GAIN * (now_N - last.force_N)
     bound_N = max(bounds.monitors.guarded_force_N, NOISE_RAD / sqrt(square))
-    found = (PreloadOutside(tool, 0.0, force_N, bound_N),) if force_N > bound_N else ()
-    return ApproachState(per_N, last.rest_rad + REST_GAIN * wound_rad, force_N), found
+    force_N = last.force_N + FORCE_GAIN * (now_N - last.force_N)
+    recent_N = (now_N, *last.recent_N[: RECENT - 1])
+    found: tuple[Evr, ...] = ()
+    # a few wrong readings raise the smoothed force, and not their median
+    if force_N > bound_N and 2.0 * take_median(recent_N) > bound_N:
+        found = (PreloadOutside(tool, 0.0, force_N, bound_N),)
+    return ApproachState(per_N, last.rest_rad + REST_GAIN * wound_rad, force_N, recent_N), found
 
 
 def _compute_wind_up(bounds: ProtectionBounds, arm: ArmStatus, tool: str) -> Array:

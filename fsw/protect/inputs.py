@@ -1,33 +1,24 @@
-"""Inputs of protection: plain values about the arm and its move, bounds, and checks of the readings.
+"""Inputs of protection: plain values about the arm and its move, bounds, and checks of the sensors.
 
-Readings are to be finite, plausible, alive and as many as there should be; gravity is to be as at the start.
+Noisy readings are to change from cycle to cycle; gravity is to be as at the start of a move.
 The records of a cycle are named tuples: a frozen dataclass takes five times as long.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import atan2, dist, hypot, isfinite, pi, sin, sqrt
+from math import atan2, dist, hypot, pi, sin, sqrt
 from operator import eq
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CyclesSkipped, Evr
-from fsw.dictionary.faults import (
-    CycleCountWrong,
-    CyclesMissed,
-    GravityImplausible,
-    SensorFrozen,
-    SensorNotFinite,
-    StructureTemperatureImplausible,
-    TiltChanged,
-)
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import SensorFrozen, TiltChanged
 from fsw.dictionary.motion_params import MonitorParams
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array, Flags
-from fsw.messages import Sensors
 
 
 class PressStatus(NamedTuple):
@@ -105,6 +96,8 @@ CURRENT_UPDATES: Final = 8
 """Updates in the slow mean of a current, 1 s: longer than a contact takes to be found."""
 WIND_UP_UPDATES: Final = 32
 """Updates in the slow mean of a wind-up, 4 s, sixteen times as long as its fast mean."""
+RECENT: Final = 7
+"""Last readings whose median is taken: three may be wrong, and it lags as the fast mean of currents does."""
 SIGMAS: Final = 6.0
 """Noise passes this many sigmas once in 1e9 readings."""
 
@@ -152,6 +145,10 @@ class ProtectionBounds:
     reading_step: tuple[float, ...]
     """Changes in a cycle that noise, speed and stiffness explain: of the currents, then of resolver less
     motor angles, (10,)."""
+    least_step_A: float
+    """Distance of all currents together from the last ones within which none has changed by more."""
+    least_step_rad: float
+    """The same of resolver less motor angles."""
     current_sigma_A: tuple[float, ...]
     """Noise of a fast mean current less its slow mean, by the number of updates of the latter."""
     wind_up_sigma_rad: tuple[float, ...]
@@ -176,6 +173,10 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
     load_error = np.array([j.load_error_Nm for j in joints])
     constant = np.array([j.torque_constant_Nm_A for j in joints])
     speed = np.array([j.speed_rad_s for j in joints])
+    step_A = (
+        _jump(monitors.current_noise_A) + arm.gear_stiffness_Nm_rad * speed * cycle_s / constant
+    ).tolist()
+    step_rad = (_jump(monitors.resolver_noise_rad) + speed * cycle_s).tolist()
     return ProtectionBounds(
         monitors=monitors,
         arm=arm,
@@ -198,12 +199,9 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         ),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
         turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
-        reading_step=(
-            *(
-                _jump(monitors.current_noise_A) + arm.gear_stiffness_Nm_rad * speed * cycle_s / constant
-            ).tolist(),
-            *(_jump(monitors.resolver_noise_rad) + speed * cycle_s).tolist(),
-        ),
+        reading_step=(*step_A, *step_rad),
+        least_step_A=min(step_A),
+        least_step_rad=min(step_rad),
         current_sigma_A=_compute_sigmas(monitors.current_noise_A, CURRENT_GAIN, CURRENT_UPDATES),
         wind_up_sigma_rad=_compute_sigmas(monitors.resolver_noise_rad, WIND_UP_GAIN, WIND_UP_UPDATES),
         monitored_lowest=tuple(
@@ -229,42 +227,6 @@ def _jump(noise: float) -> float:
 NOISY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3 + ("structure_C",)
 """Sensor of each number that has noise: it never stays the same for long, even at rest."""
 NONE_UNCHANGED: Final = (0,) * len(NOISY)
-ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2", "structure_C")
-"""Sensors whose readings are real numbers."""
-
-
-def check_readings(bounds: ProtectionBounds, sensors: Sensors) -> tuple[Evr, ...]:
-    """Find readings that nothing may be computed from: not finite, no gravity, or no temperature of an arm.
-
-    This comes first in a cycle. Comparisons with NaN are all false and clip nothing, and a wild value stays
-    in filters.
-    """
-    # hypot raises no warning, and is finite only if all its arguments are
-    if not isfinite(hypot(*noisy_readings(sensors), *sensors.winding_C.tolist())):
-        found = tuple(
-            SensorNotFinite(name)
-            for name in ANALOG
-            if not isfinite(hypot(*np.ravel(getattr(sensors, name)).tolist()))
-        )
-        if found:
-            return found
-    gravity, monitors = hypot(*sensors.gravity_R_m_s2.tolist()), bounds.monitors
-    if not monitors.gravity_min_m_s2 <= gravity <= monitors.gravity_max_m_s2:
-        return (GravityImplausible(gravity, monitors.gravity_min_m_s2, monitors.gravity_max_m_s2),)
-    low, high = monitors.structure_min_C, monitors.structure_max_C
-    if not low <= sensors.structure_C <= high:
-        return (StructureTemperatureImplausible(sensors.structure_C, low, high),)
-    return ()
-
-
-def noisy_readings(sensors: Sensors) -> tuple[float, ...]:
-    """Return the numbers that have noise, in the order of NOISY."""
-    return (
-        *sensors.resolver_rad.tolist(),
-        *sensors.current_A.tolist(),
-        *sensors.gravity_R_m_s2.tolist(),
-        sensors.structure_C,
-    )
 
 
 def check_frozen(
@@ -281,14 +243,9 @@ def check_frozen(
     return counts, tuple(SensorFrozen(name, count) for name, count in frozen.items())
 
 
-def check_cycle_count(bounds: ProtectionBounds, before: int | None, now: int) -> tuple[Evr, ...]:
-    """Check that the cycle count of the avionics rises by one; a few missed cycles are only reported."""
-    if before is None or now == before + 1:
-        return ()
-    if now <= before:
-        return (CycleCountWrong(now, before),)
-    cycles, bound = now - before - 1, bounds.monitors.missed_cycles
-    return (CyclesSkipped(cycles),) if cycles <= bound else (CyclesMissed(cycles, bound),)
+def take_median(values: tuple[float, ...]) -> float:
+    """Take the median of the last values of a reading; of an even number, the upper one."""
+    return sorted(values)[len(values) // 2]
 
 
 def check_tilt(

@@ -40,11 +40,10 @@ from fsw.protect.inputs import (
     ArmStatus,
     MoveStatus,
     ProtectionBounds,
-    check_cycle_count,
     check_frozen,
     check_tilt,
-    noisy_readings,
 )
+from fsw.protect.readings import READ_NOISY, ReadingState
 from fsw.protect.resistance import FreeMove, monitor_free_move
 from fsw.protect.responses import Decision, StandingFault, decide
 
@@ -64,6 +63,8 @@ class Counts:
 
 
 ALL_ZERO: Final = Counts()
+NO_LAG: Final = (0.0,) * len(Joint)
+"""Distances of motors at rest from their set-points."""
 ROUNDING_RAD: Final = 1e-9
 
 
@@ -72,8 +73,6 @@ class MonitorState:
     """Memory of the monitors from cycle to cycle."""
 
     counts: Counts = ALL_ZERO
-    cycle: int | None = None
-    """Cycle count of the avionics when flight software was called last."""
     readings: tuple[float, ...] = (inf,) * len(NOISY)
     """Last readings of the sensors that have noise."""
     unchanged: tuple[int, ...] = NONE_UNCHANGED
@@ -90,18 +89,21 @@ def protect(
     fault: StandingFault | None,
     arm: ArmStatus,
     sensors: Sensors,
+    readings: ReadingState,
     last_rad: Array,
-    unusable: tuple[Evr, ...],
+    of_readings: tuple[Evr, ...],
     of_move: tuple[Evr, ...],
 ) -> tuple[MonitorState, Decision | None]:
     """Monitor the arm in this cycle and decide what is done; None if nothing happened.
 
     Args:
-        unusable: What `check_readings` found in these readings.
+        sensors: Readings to be used.
+        readings: The same readings as they were read and judged.
+        of_readings: Events of that judgement.
         of_move: Events of the move in this cycle, among them its own faults.
     """
-    state, found = run_monitors(bounds, last, arm, sensors, usable=not unusable)
-    found = unusable + found
+    state, found = run_monitors(bounds, last, arm, sensors, readings)
+    found = of_readings + found
     if arm.move is not None:
         found += check_setpoint(bounds, arm.move, last_rad)
     found += of_move
@@ -109,22 +111,23 @@ def protect(
 
 
 def run_monitors(
-    bounds: ProtectionBounds, last: MonitorState, arm: ArmStatus, sensors: Sensors, usable: bool
+    bounds: ProtectionBounds, last: MonitorState, arm: ArmStatus, sensors: Sensors, readings: ReadingState
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """Run the monitors on this cycle; unusable readings are only counted."""
-    evrs = check_cycle_count(bounds, last.cycle, sensors.cycle)
+    """Run the monitors on this cycle, if there are readings to be used."""
     planned = None
     if arm.move is not None:
         planned = arm.gravity_R_m_s2 if last.planned_gravity_R is None else last.planned_gravity_R
-    if not usable:
-        return replace(last, cycle=sensors.cycle, planned_gravity_R=planned), evrs
-    readings = noisy_readings(sensors)
-    unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, readings)
+    if not readings.used:
+        return replace(last, planned_gravity_R=planned), ()
+    read = used = readings.read[READ_NOISY]
+    if readings.used is not readings.read:
+        used = readings.used[READ_NOISY]
+    unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, read)
     counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
     approach, force = monitor_approach(bounds, last.approach, arm, sensors)
-    free_move, contact = monitor_free_move(bounds, last.free_move, arm, readings, unchanged)
-    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach, free_move)
-    return state, evrs + frozen + found + force + contact
+    free_move, contact = monitor_free_move(bounds, last.free_move, arm, used, unchanged)
+    state = MonitorState(counts, read, unchanged, planned, approach, free_move)
+    return state, frozen + found + force + contact
 
 
 def _monitor_arm(
@@ -200,10 +203,9 @@ def get_lowest(bounds: ProtectionBounds, move: MoveStatus) -> Array:
 def exceed_any_bound(bounds: ProtectionBounds, arm: ArmStatus, sensors: Sensors) -> bool:
     """Check whether any joint is beyond a bound; only then the monitors below are run, one by one."""
     motor = arm.motor_rad.tolist()
-    setpoint = motor if arm.move is None else arm.move.setpoint_rad.tolist()
     monitored = (
         *motor,
-        *map(sub, motor, setpoint),
+        *(NO_LAG if arm.move is None else map(sub, motor, arm.move.setpoint_rad.tolist())),
         *sensors.current_A.tolist(),
         *sensors.winding_C.tolist(),
         *arm.resolver_error_rad.tolist(),

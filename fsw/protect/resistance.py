@@ -26,11 +26,12 @@ A joint shows nothing, and its slow means begin anew, in these cases:
 - The wind-up changes with the motion, which no obstacle does, or while its mean is young. The mean then holds
   what came before, such as a backlash that was crossed later than estimated.
 - A reading jumps farther than noise and a stiff gear at full speed explain: that is a sensor.
+- The median of the last readings shows less than half of what the fast mean shows: a few readings are wrong.
 
 `docs/faults.md` derives the force that remains.
 """
 
-from math import sqrt
+from math import dist, sqrt
 from operator import gt, sub
 from typing import Final, NamedTuple
 
@@ -44,11 +45,13 @@ from fsw.kinematics.transforms import Array
 from fsw.protect.inputs import (
     CURRENT_GAIN,
     CURRENT_UPDATES,
+    RECENT,
     UPDATE_CYCLES,
     WIND_UP_UPDATES,
     ArmStatus,
     MoveStatus,
     ProtectionBounds,
+    take_median,
 )
 
 CONTACT: Final = 50.7
@@ -99,6 +102,8 @@ class FreeMove(NamedTuple):
     per_A: tuple[float, ...]
     """Sigmas per ampere, positive for a motor that turns forward; 0 for one that shows nothing."""
     means: tuple[JointMeans, ...]
+    recent: tuple[tuple[float, ...], ...]
+    """Readings of the last cycles, the newest first."""
 
 
 NO_MEANS: Final = (JointMeans(),) * len(Joint)
@@ -125,10 +130,12 @@ def monitor_free_move(
         return None, ()
     read = (*readings[5:10], *map(sub, readings[:5], arm.motor_rad.tolist()))
     if last is None:
-        return FreeMove(0, read, read[:5], read[:5], NOTHING, NO_MEANS), ()
-    if any(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step)):
+        return FreeMove(0, read, read[:5], read[:5], NOTHING, NO_MEANS, (read,)), ()
+    near = dist(read[:5], last.read[:5]) <= bounds.least_step_A
+    near = near and dist(read[5:], last.read[5:]) <= bounds.least_step_rad
+    if not near and any(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step)):
         last = _forget_jumps(bounds, last, read)
-    cycles, _, fast_A, expected_A, per_A, means = last
+    cycles, _, fast_A, expected_A, per_A, means, recent = last
     means_A, total = [], 0.0
     # the readings of the resolvers follow those of the currents, and are left out
     for reading, mean, expected, per in zip(read, fast_A, expected_A, per_A, strict=False):
@@ -137,7 +144,8 @@ def monitor_free_move(
         excess = (mean - expected) * per
         if excess > 0.0:
             total += excess * excess
-    now = FreeMove(cycles + 1, read, tuple(means_A), expected_A, per_A, means)
+    recent = (read, *recent[: RECENT - 1])
+    now = FreeMove(cycles + 1, read, tuple(means_A), expected_A, per_A, means, recent)
     if total > CONTACT:
         contact = check_currents(bounds, now, arm, move)
         if contact:
@@ -146,9 +154,19 @@ def monitor_free_move(
         return now, ()
     load_A = compute_load_current(bounds, arm)
     updated = update_means(bounds, now, arm, load_A, unchanged)
-    contact = check_wind_up(bounds, now.means, updated, arm, move)
+    contact = check_wind_up(bounds, now, updated, arm, move)
     expected_A, per_A = expect_currents(bounds, updated, load_A)
-    return FreeMove(0, read, now.fast_A, expected_A, per_A, updated), contact
+    return FreeMove(0, read, now.fast_A, expected_A, per_A, updated, recent), contact
+
+
+def take_medians(recent: tuple[tuple[float, ...], ...]) -> list[float]:
+    """Take the medians of the last readings, (10,)."""
+    return [take_median(values) for values in zip(*recent, strict=True)]
+
+
+def show_half(off: float, median_off: float) -> bool:
+    """Return whether a median shows at least half of what a mean shows, in its direction."""
+    return 2.0 * median_off * off >= off * off
 
 
 def _forget_jumps(bounds: ProtectionBounds, last: FreeMove, read: tuple[float, ...]) -> FreeMove:
@@ -169,7 +187,11 @@ def check_currents(
     bounds: ProtectionBounds, now: FreeMove, arm: ArmStatus, move: MoveStatus
 ) -> tuple[Evr, ...]:
     """Check the currents of a cycle, less their slack, against those that are expected."""
-    off_A = [mean - expected for mean, expected in zip(now.fast_A, now.expected_A, strict=True)]
+    medians = take_medians(now.recent)
+    off_A = [
+        mean - expected if show_half(mean - expected, median - expected) else 0.0
+        for mean, expected, median in zip(now.fast_A, now.expected_A, medians[:5], strict=True)
+    ]
     slack_A = compute_slack(bounds, now.means)
     excess = [
         max(off * per - slack * abs(per), 0.0)
@@ -264,14 +286,16 @@ def expect_currents(
 
 def check_wind_up(
     bounds: ProtectionBounds,
-    before: tuple[JointMeans, ...],
+    before: FreeMove,
     now: tuple[JointMeans, ...],
     arm: ArmStatus,
     move: MoveStatus,
 ) -> tuple[Evr, ...]:
     """Check the wind-up in an update against the slow means before it."""
     total, excess, off_rad = 0.0, [], []
-    each = zip(before, now, arm.gear_uncertainty_rad.tolist(), move.setpoint_rate_rad_s.tolist(), strict=True)
+    each = zip(
+        before.means, now, arm.gear_uncertainty_rad.tolist(), move.setpoint_rate_rad_s.tolist(), strict=True
+    )
     for last, one, unsure, rate in each:
         off = one.last_wind_up_rad - last.wind_up_rad
         is_known = min(last.wind_up_updates, one.wind_up_updates) > LEAST_WIND_UP_UPDATES
@@ -281,11 +305,24 @@ def check_wind_up(
         beyond = abs(off) - unsure if resists else 0.0
         excess.append(beyond / bounds.wind_up_sigma_rad[last.wind_up_updates] if beyond > 0.0 else 0.0)
         total += excess[-1] * excess[-1]
-    if total <= CONTACT:
+    if total <= CONTACT or not _is_confirmed(before, arm, off_rad, excess):
         return ()
     wound_rad = _wind_up(arm, arm.gear_rad + np.array(off_rad)) - _wind_up(arm, arm.gear_rad)
     torque_Nm = bounds.arm.gear_stiffness_Nm_rad * wound_rad
     return (describe_contact(bounds, arm, move, torque_Nm, excess.index(max(excess))),)
+
+
+def _is_confirmed(before: FreeMove, arm: ArmStatus, off_rad: list[float], excess: list[float]) -> bool:
+    """Return whether the wind-up of the joints whose last readings show it too is a contact by itself."""
+    total = 0.0
+    medians = take_medians(before.recent)[5:]
+    expected_rad = (arm.gear_rad + arm.resolver_bias_rad).tolist()
+    for median, expected, one, off, sigmas in zip(
+        medians, expected_rad, before.means, off_rad, excess, strict=True
+    ):
+        if show_half(off, median - expected - one.wind_up_rad):
+            total += sigmas * sigmas
+    return total > CONTACT
 
 
 def describe_contact(

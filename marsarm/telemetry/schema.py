@@ -41,7 +41,12 @@ DIMENSIONLESS: Final = {
 UNIT_VECTORS: Final = ("approach", "gravity", "normal", "R")
 """First words of names of directions and rotations, whose components are pure numbers."""
 
-UNITS_BY_NAME: Final = {"compliance": "mixed", "value": "of the parameter", "bound": "cycle"}
+UNITS_BY_NAME: Final = {
+    "compliance": "mixed",
+    "bound": "cycle",
+    "value": "of the parameter or channel",
+    **dict.fromkeys(("lowest", "highest"), "of the channel"),
+}
 """Unit of names for which the docstring, or another field, gives the unit."""
 
 

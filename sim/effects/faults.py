@@ -164,7 +164,7 @@ class WeakMotor(Timed):
 
 @dataclass(frozen=True, slots=True)
 class HotMotor(Timed):
-    """Motor at this ambient temperature, because its heater stays on."""
+    """Motor that goes to this ambient temperature, 32 K a second, because its heater stays on."""
 
     joint: Joint
     temperature_C: Annotated[float, ParameterSpec(-150.0, 250.0, unit="degC", typical=100.0)]

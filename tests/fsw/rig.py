@@ -31,6 +31,8 @@ from sim.arms import arm_named
 MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
 DITHER = 1e-12
 FAR_M = 1e3
+STEP_K = 0.9
+"""Change of the temperature of the structure in a cycle."""
 
 
 @lru_cache
@@ -140,6 +142,9 @@ class Rig:
     ):
         self.config = config
         self.warm_C = warm_C
+        self.structure_C = warm_C
+        self.winding_C = np.full(5, -40.0)
+        self.off_count = np.zeros(5)
         start = np.array(config.params.poses.ready_rad if start_rad is None else start_rad)
         self.count = np.rint(start / config.rad_per_count).astype(np.int64)
         # encoders count from joint angle zero, resolvers are right
@@ -156,6 +161,7 @@ class Rig:
         """Return a rig that goes on from here, without events so far; no state is changed in place."""
         rig = copy(self)
         rig.count, rig.evrs = self.count.copy(), []
+        rig.winding_C, rig.off_count = self.winding_C.copy(), self.off_count.copy()
         return rig
 
     def resolver_rad(self) -> np.ndarray:
@@ -166,7 +172,10 @@ class Rig:
     def cycle(self, *commands: Command, **readings) -> Outputs:
         self.cycles += 1
         defaults = {"cycle": self.cycles, "encoder_count": self.count, "resolver_rad": self.resolver_rad()}
-        defaults["structure_C"] = self.warm_C + alive(self.cycles)
+        defaults["winding_C"] = self.winding_C
+        warming_K = np.clip(self.warm_C - self.structure_C, -STEP_K, STEP_K)
+        self.structure_C += float(warming_K)
+        defaults["structure_C"] = self.structure_C + alive(self.cycles)
         readings = defaults | readings
         self.state, self.outputs = step(self.config, self.state, quiet_sensors(**readings), commands)
         drive = self.outputs.drive
@@ -174,6 +183,11 @@ class Rig:
             self.count = np.where(drive.power_on & drive.brake_release, drive.setpoint_count, self.count)
         self.evrs.extend(self.outputs.evrs)
         return self.outputs
+
+    def go_blind(self, **readings) -> None:
+        """Cycle with windings that read no number until that is a fault."""
+        for _ in range(self.config.params.monitors.reading_persistence):
+            self.cycle(**({"winding_C": [float("nan")] * 5} | readings))
 
     def run(self, *commands: Command, at_most: int = 20_000, **readings) -> tuple[Evr, ...]:
         """Cycle until the arm stands on its brakes; the EVRs from the first command on."""

@@ -158,10 +158,12 @@ def test_the_first_temperature_is_the_mean_of_usable_readings_alone_and_no_other
     rig, period = Rig(CONFIG, start_rad=START, calibrated=False), CONFIG.params.motion.load_period_cycles
     for _ in range(100 * period):
         rig.cycle(structure_C=float("nan"))
-    for warm_C in (20.0, 23.0, 26.0):
+    for warm_C in (20.0, 20.8, 21.6):
         reads(rig, warm_C, period)
     before_C = rig.state.structure_C
-    assert before_C == pytest.approx(23.0, abs=1e-3)
+    assert before_C == pytest.approx(20.8, abs=1e-3)
+    rig.cycle()
+    before_C = rig.state.structure_C
     for wrong_C in (float("nan"), 200.0):
         rig.cycle(structure_C=wrong_C)
         assert rig.state.structure_C == before_C

@@ -32,6 +32,7 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import HardstopMissed
 from fsw.kinematics.closed_form import BRANCHES
+from fsw.protect.readings import ReadingState
 from fsw.state import Hold, Sequence
 from helpers.marks import slow_but
 from tests.fsw.executive import lab
@@ -223,7 +224,7 @@ def test_after_a_fault_the_angles_of_calibrated_joints_decide_whether_the_arm_is
     ):
         pose = np.array(config.params.poses.stowed_rad) + off_rad * (np.arange(5) == joint)
         rig = Rig(config, mode, pose, calibrated=calibrated)
-        rig.cycle(winding_C=[lab.NAN] * 5)
+        rig.go_blind()
         rig.cycle(ClearFault())
         assert rig.state.mode is end
 
@@ -234,7 +235,9 @@ def test_after_a_fault_the_angles_of_calibrated_joints_decide_whether_the_arm_is
 def test_with_readings_that_cannot_be_used_nothing_begins(kind):
     rig = lab.deployed()
     reference = rig.state.joints.reference
-    rig.cycle(lab.COMMANDS[kind](rig), winding_C=[lab.NAN] * 5)
+    command = lab.COMMANDS[kind](rig)
+    rig.state = replace(rig.state, readings=ReadingState())
+    rig.cycle(command, winding_C=[lab.NAN] * 5)
     assert CommandRefused(kind.__name__, "a reading is unusable") in rig.evrs
     assert rig.state.move is None
     assert rig.state.sequence is None
@@ -254,7 +257,7 @@ def test_with_readings_that_cannot_be_used_nothing_begins(kind):
 def test_a_fault_cleared_with_all_switches_open_remembers_that_the_arm_may_touch(make_rig, end):
     rig = make_rig()
     mode = rig.state.mode
-    rig.cycle(winding_C=[lab.NAN] * 5)
+    rig.go_blind()
     assert rig.state.fault.mode is mode
     rig.run()
     for _ in range(3):  # a new fault in the cycle of ClearFault keeps what is known of the first one
@@ -269,6 +272,7 @@ def test_a_fault_cleared_with_all_switches_open_remembers_that_the_arm_may_touch
 def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freely(make_rig):
     rig = make_rig()
     readings = lab.TOUCHED if make_rig in lab.TOUCHING else {}
+    rig.go_blind(**readings)
     rig.run(winding_C=[lab.NAN] * 5, **readings)
     assert rig.state.mode is Mode.FAULTED
     rig.evrs.clear()
@@ -287,6 +291,7 @@ def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freel
 def test_a_step_that_is_refused_when_its_turn_comes_aborts_its_sequence():
     rig = lab.deployed()
     rig.state = replace(rig.state, sequence=Sequence("Process", (Hold(1.0, vibrate=True),)))
+    rig.state = replace(rig.state, readings=ReadingState())
     rig.cycle(winding_C=[lab.NAN] * 5)
     assert rig.evrs[:2] == [CommandRefused("Hold", "a reading is unusable"), CommandAborted("Process")]
     assert rig.state.sequence is None

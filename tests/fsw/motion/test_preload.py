@@ -172,7 +172,7 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
         evrs = rig.run(Stop(), **TOUCHED)
         assert CommandAborted("Preload") in evrs
     else:
-        rig.cycle(current_A=[float("nan")] * 5, **TOUCHED)
+        rig.go_blind(**TOUCHED)
         rig.run(**TOUCHED)
         assert rig.state.mode is Mode.FAULTED
         rig.cycle(ClearFault(), **TOUCHED)

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from fsw.dictionary.enums import Mode
+from fsw.protect import monitors
 from fsw.protect.inputs import ArmStatus, MoveStatus, PressStatus
+from fsw.protect.readings import ReadingState
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 from tests.tools import SWITCHES
 
@@ -67,6 +69,26 @@ def sensors(cycle=0, **readings):
     return quiet_sensors(np.zeros(5), cycle, **readings)
 
 
+def noisy_readings(read):
+    """The numbers that have noise, in the order of NOISY."""
+    return (
+        *read.resolver_rad.tolist(),
+        *read.current_A.tolist(),
+        *read.gravity_R_m_s2.tolist(),
+        read.structure_C,
+    )
+
+
+def with_readings(read, usable=True):
+    """The history of readings that are all plausible, or cannot be used."""
+    numbers = (*noisy_readings(read), *read.winding_C.tolist(), *read.encoder_count.tolist())
+    return ReadingState(read.cycle, numbers, numbers if usable else ())
+
+
+def run_monitors(bounds, last, arm, read, usable=True):
+    return monitors.run_monitors(bounds, last, arm, read, with_readings(read, usable))
+
+
 def at(joint, value, elsewhere=0.0):
     """A value at one joint."""
     return np.where(np.arange(5) == joint, value, elsewhere)
@@ -103,4 +125,5 @@ def rows(heading):
 def persistence_of(kind):
     """The persistence of a monitor, as the page has it: a number, or the name of a parameter."""
     said = next(row[3] for row in rows("Monitors") if row[0] == kind.__name__)
-    return int(said) if said.isdigit() else getattr(MONITORS, said.strip("`"))
+    first = said.split(":")[0].split(" ")[0]
+    return int(first) if first.isdigit() else getattr(MONITORS, said.strip("`"))

@@ -10,8 +10,8 @@ from fsw.dictionary import faults
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CyclesSkipped, FaultResponse
 from fsw.protect.contact import ApproachState
-from fsw.protect.inputs import NONE_UNCHANGED, compute_bounds, noisy_readings
-from fsw.protect.monitors import MonitorState, protect, run_monitors
+from fsw.protect.inputs import NONE_UNCHANGED, compute_bounds
+from fsw.protect.monitors import MonitorState, protect
 from fsw.protect.responses import Response, StandingFault
 from tests.fsw.protect.lab import (
     BOUNDS,
@@ -27,9 +27,12 @@ from tests.fsw.protect.lab import (
     at,
     closed,
     moving,
+    noisy_readings,
     persistence_of,
     resting,
+    run_monitors,
     sensors,
+    with_readings,
 )
 from tests.fsw.rig import MARS_R_m_s2, alive
 from tests.tools import SWITCHES
@@ -92,7 +95,7 @@ def test_a_monitor_with_a_persistence_reports_from_it_on_counts_by_itself_and_fr
     name, arm, readings = PERSISTENT[kind]
     state, persistence = MonitorState(), persistence_of(kind)
     for cycle in range(1, persistence + 4):
-        state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings))
         assert kinds(found) == ([kind] if cycle >= persistence else [])
         counts = {field: getattr(state.counts, field) for field in state.counts.__slots__}
         assert counts.pop(name) == cycle
@@ -100,9 +103,9 @@ def test_a_monitor_with_a_persistence_reports_from_it_on_counts_by_itself_and_fr
     quiet, state = pressing() if arm.mode is Mode.PRELOAD else moving(), MonitorState()
     for cycle in range(1, 4 * persistence):
         if cycle % persistence:
-            state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
+            state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings))
         else:
-            state, found = run_monitors(BOUNDS, state, quiet, live(cycle, switch_closed=pressed(quiet)), True)
+            state, found = run_monitors(BOUNDS, state, quiet, live(cycle, switch_closed=pressed(quiet)))
             assert state.counts == MonitorState().counts
         assert found == ()
 
@@ -114,7 +117,7 @@ def pressed(arm):
 @pytest.mark.parametrize("kind", AT_ONCE, ids=lambda kind: kind.__name__)
 def test_a_monitor_without_a_persistence_reports_at_once(kind):
     arm, readings = AT_ONCE[kind]
-    _, found = run_monitors(BOUNDS, MonitorState(), arm, live(1, **readings), usable=True)
+    _, found = run_monitors(BOUNDS, MonitorState(), arm, live(1, **readings))
     assert kinds(found) == [kind]
 
 
@@ -126,11 +129,14 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
     counts = replace(last.counts, **dict.fromkeys(last.counts.__slots__, 1000))
     readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed("drt_1"))
     last = MonitorState(
-        counts, 7, noisy_readings(readings), (1000,) * 14, MARS_R_m_s2, ApproachState(LEVERS_M, ZERO, 1e6)
+        counts,
+        noisy_readings(readings),
+        (1000,) * 14,
+        MARS_R_m_s2,
+        ApproachState(LEVERS_M, ZERO, 1e6, (1e6,) * 7),
     )
-    state, found = run_monitors(BOUNDS, last, arm, readings, usable=True)
+    state, found = run_monitors(BOUNDS, last, arm, readings)
     assert kinds(found) == [
-        CyclesSkipped,
         *[faults.SensorFrozen] * 4,
         faults.ContactInFreeSpace,
         faults.ResolverDisagrees,
@@ -154,7 +160,7 @@ def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(
     arm = arm._replace(move=arm.move._replace(is_releasing=True))
     state = MonitorState()
     for cycle in range(1, 2 * persistence):
-        state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings))
         assert found == ()
         assert state.counts == MonitorState().counts
 
@@ -165,7 +171,7 @@ def test_an_arm_that_is_being_stopped_may_be_cold():
     for cold in (arm._replace(move=arm.move._replace(is_stopping=True)), resting()):
         state = MonitorState()
         for cycle in range(1, 2 * persistence):
-            state, found = run_monitors(BOUNDS, state, cold, live(cycle, **readings), usable=True)
+            state, found = run_monitors(BOUNDS, state, cold, live(cycle, **readings))
             assert found == ()
 
 
@@ -173,78 +179,79 @@ def test_at_rest_motors_may_draw_or_stand_anywhere():
     state = MonitorState()
     arm = resting(motor_rad=OUTSIDE, imu_R_m_s2=TURNED_R)
     for cycle in range(1, 200):
-        state, found = run_monitors(BOUNDS, state, arm, live(cycle, current_A=HIGH_A), usable=True)
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, current_A=HIGH_A))
         assert found == ()
         assert state.planned_gravity_R is None
 
 
 def test_a_move_is_held_to_the_gravity_with_which_it_began():
     begun = moving(gravity_R_m_s2=TURNED_R, imu_R_m_s2=TURNED_R)
-    state, _ = run_monitors(BOUNDS, MonitorState(), begun, live(1), usable=True)
+    state, _ = run_monitors(BOUNDS, MonitorState(), begun, live(1))
     assert state.planned_gravity_R is TURNED_R
     later = moving(gravity_R_m_s2=MARS_R_m_s2, imu_R_m_s2=TURNED_R)
     for cycle in range(2, 2 * MONITORS.tilt_persistence):
-        state, found = run_monitors(BOUNDS, state, later, live(cycle), usable=True)
+        state, found = run_monitors(BOUNDS, state, later, live(cycle))
         assert found == ()
         assert state.planned_gravity_R is TURNED_R
-    state, _ = run_monitors(BOUNDS, state, resting(), live(cycle + 1), usable=True)
+    state, _ = run_monitors(BOUNDS, state, resting(), live(cycle + 1))
     assert state.planned_gravity_R is None
 
 
 def test_monitors_remember_readings_counts_and_the_approach():
     readings = live(5)
-    state, found = run_monitors(BOUNDS, MonitorState(), moving(a_move(approaching="apxs")), readings, True)
+    state, found = run_monitors(BOUNDS, MonitorState(), moving(a_move(approaching="apxs")), readings)
     assert found == ()
-    assert (state.cycle, state.readings, state.unchanged) == (5, noisy_readings(readings), NONE_UNCHANGED)
+    assert (state.readings, state.unchanged) == (noisy_readings(readings), NONE_UNCHANGED)
     assert state.approach.force_N == 0.0
-    state, found = run_monitors(BOUNDS, state, moving(), replace(readings, cycle=7), True)
-    assert found == (CyclesSkipped(1),)
+    state, found = run_monitors(BOUNDS, state, moving(), replace(readings, cycle=7))
+    assert found == ()
     assert state.approach is None
     assert state.unchanged == (1,) * 14
 
 
 def test_a_force_on_a_tool_that_approaches_is_reported():
     arm, state = moving(a_move(approaching="apxs")), MonitorState()
-    state, _ = run_monitors(BOUNDS, state, arm, live(1), usable=True)
+    state, _ = run_monitors(BOUNDS, state, arm, live(1))
     shown = READY + arm.gear_rad + 500.0 * state.approach.rad_per_N
     for cycle in range(2, 4):
-        state, found = run_monitors(BOUNDS, state, arm, live(cycle, resolver_rad=shown), usable=True)
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, resolver_rad=shown))
     assert kinds(found) == [faults.PreloadOutside]
     assert found[0].tool == "apxs"
 
 
-def test_of_unusable_readings_only_the_cycle_counts_and_whether_the_arm_moves():
-    known = MonitorState(replace(MonitorState().counts, tilt=3), 4, (1.0,) * 13, (2,) * 13, None)
+def test_of_unusable_readings_only_whether_the_arm_moves_counts():
+    known = MonitorState(replace(MonitorState().counts, tilt=3), (1.0,) * 13, (2,) * 13, None)
     arm = moving(gravity_R_m_s2=TURNED_R, motor_rad=OUTSIDE)
     state, found = run_monitors(BOUNDS, known, arm, live(6, current_A=np.full(5, np.nan)), usable=False)
-    assert found == (CyclesSkipped(1),)
+    assert found == ()
     assert (state.counts, state.readings, state.unchanged) == (known.counts, known.readings, known.unchanged)
-    assert (state.cycle, state.planned_gravity_R) == (6, TURNED_R)
+    assert state.planned_gravity_R is TURNED_R
     assert run_monitors(BOUNDS, state, resting(), live(7), usable=False)[0].planned_gravity_R is None
 
 
-def protected(arm, fault=None, unusable=(), of_move=(), last_rad=READY, state=None, **readings):
-    state = MonitorState(cycle=0) if state is None else state
-    return protect(BOUNDS, state, fault, arm, live(1, **readings), last_rad, unusable, of_move)
+def protected(arm, fault=None, of_readings=(), of_move=(), last_rad=READY, usable=True, **readings):
+    read = live(1, **readings)
+    judged = with_readings(read, usable)
+    return protect(BOUNDS, MonitorState(), fault, arm, read, judged, last_rad, of_readings, of_move)
 
 
 def test_nothing_is_decided_unless_something_happens():
     for arm in (resting(), moving(), pressing()):
         state, decision = protected(arm, switch_closed=pressed(arm))
         assert decision is None
-        assert state.cycle == 1
+        assert state.unchanged == NONE_UNCHANGED
     for closed_ones in (closed("drt_1"), closed(*SWITCHES)):
         _, decision = protected(resting(), switch_closed=closed_ones)
         assert kinds(decision.evrs) == [faults.ContactInFreeSpace, FaultResponse]
 
 
 def test_what_readings_monitors_set_point_and_move_say_is_decided_upon_together():
-    unusable = (faults.SensorNotFinite("winding_C"),)
+    of_readings = (faults.ReadingImplausible("winding_C[0]", np.inf, -150.0, 250.0), CyclesSkipped(1))
     of_move = (faults.NoContact(0.1), CommandAborted("GuardedMove"))
     jump = moving(a_move(setpoint_rad=READY + at(WRIST, 1.0)))
-    _, decision = protected(jump, None, unusable, of_move, state=MonitorState(cycle=-1))
+    _, decision = protected(jump, None, of_readings, of_move)
     unsafe = faults.SetpointUnsafe(WRIST, READY[WRIST] + 1.0, READY[WRIST])
-    found = (*unusable, CyclesSkipped(1), unsafe, *of_move)
+    found = (*of_readings, unsafe, *of_move)
     assert decision.evrs == (*found, FaultResponse("BRAKE_AND_REFUSE"))
     assert decision.response is Response.BRAKE_AND_REFUSE
     assert decision.fault.mode is Mode.FREE_SPACE
@@ -262,9 +269,9 @@ def test_a_set_point_is_compared_with_the_last_one_and_only_that_of_a_move():
 
 
 def test_with_unusable_readings_nothing_is_monitored_by_them():
-    unusable = (faults.SensorNotFinite("current_A"),)
-    _, decision = protected(resting(), None, unusable, switch_closed=closed("drt_1"))
-    assert decision.evrs == (*unusable, FaultResponse("BRAKE_AND_REFUSE"))
+    bad = (faults.ReadingImplausible("current_A[0]", np.inf, -6.0, 6.0),)
+    _, decision = protected(resting(), None, bad, usable=False, switch_closed=closed("drt_1"))
+    assert decision.evrs == (*bad, FaultResponse("BRAKE_AND_REFUSE"))
 
 
 def test_events_that_are_no_faults_pass_and_a_standing_fault_goes_on_to_stand():

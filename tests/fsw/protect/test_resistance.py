@@ -61,7 +61,8 @@ class Turning:
             resolver_error_rad=self.resolver,
             **(self.changes | changes),
         )
-        readings = (*ZERO, *current.tolist(), *MARS)
+        resolver = self.angle + arm.gear_rad + error
+        readings = (*resolver.tolist(), *current.tolist(), *MARS)
         self.state, found = resistance.monitor_free_move(self.bounds, self.state, arm, readings, unchanged)
         return found
 
@@ -178,10 +179,10 @@ def test_a_reading_that_jumps_hides_only_its_own_joint(jumps):
     turning, torque = known(), at(Joint.ELEVATION, -2.0 * least_torque_Nm(Joint.ELEVATION))
     found = [
         turning.cycle(torque_Nm=torque + at(Joint.WRIST, 1000.0 if jumps and cycle == 2 else 0.0))
-        for cycle in range(3)
+        for cycle in range(4)
     ]
-    assert [len(events) for events in found] == [0, 0, 1]
-    assert found[2][0].joint is Joint.ELEVATION
+    assert [len(events) for events in found] == [0, 0, 0, 1]
+    assert found[3][0].joint is Joint.ELEVATION
 
 
 def test_a_frozen_resolver_shows_nothing():
@@ -255,7 +256,7 @@ def test_slow_means_follow_or_begin_anew(was, rate, sigmas, side, current, wind_
         motor_rad=np.full(5, motor), resolver_error_rad=np.full(5, wound), side=np.full(5, side), **loose
     )
     now = resistance.FreeMove(
-        UPDATE_CYCLES, (), (0.7,) * 5, resistance.NOTHING, resistance.NOTHING, (last,) * 5
+        UPDATE_CYCLES, (), (0.7,) * 5, resistance.NOTHING, resistance.NOTHING, (last,) * 5, ()
     )
     friction_A, rate_rad_s = 0.1 + (0.7 - 0.2 - 0.1) / 3, (2 * last.rate_rad_s + rate) / 3
     mean = {"updates": 3, "friction_A": friction_A, "rate_rad_s": rate_rad_s}
@@ -295,10 +296,23 @@ def test_the_slack_of_a_current_is_that_of_friction_and_of_the_load_on_an_uncert
     np.testing.assert_allclose(resistance.compute_slack(BOUNDS, means), slack_A)
 
 
-@pytest.mark.parametrize(("more", "rate", "found"), [(1, -1.0, True), (1, 1.0, False), (0, -1.0, False)])
-def test_a_wind_up_is_a_contact_against_the_motion_once_its_mean_is_known(more, rate, found):
-    before = (resistance.JointMeans(wind_up_updates=resistance.LEAST_WIND_UP_UPDATES + more),) * 5
-    now = tuple(one._replace(last_wind_up_rad=1e-3) for one in before)
+@pytest.mark.parametrize(
+    ("more", "rate", "share", "found"),
+    [
+        (1, -1.0, 1.0, True),
+        (1, 1.0, 1.0, False),
+        (0, -1.0, 1.0, False),
+        (1, -1.0, 0.51, True),
+        (1, -1.0, 0.49, False),
+    ],
+)
+def test_a_wind_up_is_a_contact_against_the_motion_once_it_is_known_and_if_the_last_readings_show_half_of_it(
+    more, rate, share, found
+):
+    means = (resistance.JointMeans(wind_up_updates=resistance.LEAST_WIND_UP_UPDATES + more),) * 5
+    now = tuple(one._replace(last_wind_up_rad=1e-3) for one in means)
+    read = (*ZERO.tolist(), *(WOUND_RAD + share * 1e-3).tolist())
+    before = resistance.FreeMove(0, read, (), (), (), means, (read,) * resistance.RECENT)
     move = a_move(setpoint_rate_rad_s=np.full(5, rate * 1e-3))
     (*events,) = resistance.check_wind_up(BOUNDS, before, now, moving(move), move)
     assert bool(events) is found

@@ -50,7 +50,8 @@ def test_an_arm_may_touch_where_it_was_to_touch_and_where_it_did(mode):
 
 def test_two_events_are_the_same_news_if_they_are_of_one_class_and_about_the_same():
     assert identify(faults.OverCurrent(Joint.WRIST, 3.0, 2.0)) == (faults.OverCurrent, Joint.WRIST)
-    assert identify(faults.SensorNotFinite("current_A")) == (faults.SensorNotFinite, "current_A")
+    frozen = faults.SensorFrozen("current_A", 64)
+    assert identify(frozen) == (faults.SensorFrozen, "current_A")
     assert identify(faults.ContactInFreeSpace("drt_1")) == (faults.ContactInFreeSpace, "drt_1")
     assert identify(faults.NoContact(0.1)) == identify(faults.NoContact(0.2)) == (faults.NoContact, None)
 

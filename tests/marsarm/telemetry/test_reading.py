@@ -214,7 +214,7 @@ def test_a_packet_that_is_not_there_every_cycle_keeps_its_times(tmp_path):
 
 def test_a_topic_that_got_nothing_is_missing_by_name(tmp_path):
     log = read_log(record(tmp_path / "run.mcap", [replace(cycle_at(0), truth=None)]))
-    with pytest.raises(KeyError, match="no topic /truth; it has /drive, /joint, /sensors, /tool"):
+    with pytest.raises(KeyError, match="no topic /truth; it has /drive, /joint, /readings, /sensors, /tool"):
         log["/truth"]
 
 

@@ -14,14 +14,20 @@ from tests.tools import SWITCHES
 
 CONFIG = config_of()
 BOUNDS = CONFIG.params.monitors
+DRIFT_COUNT = 50
+"""Drift of an encoder in a cycle that is plausible beside the motion of its motor."""
 START = facing(CONFIG, "apxs")
 REFUSED = FaultResponse(Response.BRAKE_AND_REFUSE)
 UNPOWERED = FaultResponse(Response.POWER_OFF)
 STOPPED = FaultResponse(Response.STOP_AND_BRAKE)
 
 
-def windings(joint, winding_C):
-    return {"winding_C": np.where(np.arange(5) == joint, winding_C, -40.0)}
+def heat(rig, joint, winding_C):
+    """A winding that heats or cools by what is plausible in a cycle."""
+    step_K = 0.999 * BOUNDS.winding_step_K
+    rig.winding_C = rig.winding_C.copy()
+    rig.winding_C[joint] += np.clip(winding_C - rig.winding_C[joint], -step_K, step_K)
+    return {}
 
 
 def closed(*switches):
@@ -56,16 +62,21 @@ def found(rig, kind):
 
 
 def off_set_point(rig, joint, rad):
-    """A reading of the encoders that is this far from the set-point of the last cycle."""
+    """A reading of the encoders that drifts to this far from the set-point of the last cycle."""
     shift = np.where(np.arange(5) == joint, rad / CONFIG.rad_per_count, 0)
-    return {"encoder_count": rig.count + np.rint(shift).astype(int)}
+    drift = np.clip(shift - rig.off_count, -DRIFT_COUNT, DRIFT_COUNT)
+    rig.off_count = rig.off_count + drift
+    return {"encoder_count": rig.count + np.rint(rig.off_count).astype(int)}
 
 
-def encoders_at(rig, joint, angle_rad):
-    """A reading of the encoders with one joint at this angle."""
-    zero = rig.state.joints.reference.zero_rad[joint]
-    count = np.rint((angle_rad - zero) / CONFIG.rad_per_count[joint]).astype(int)
-    return {"encoder_count": np.where(np.arange(5) == joint, count, rig.count)}
+def with_limit_at(rig, joint, angle_rad):
+    """Protection believes that a joint may go no farther than this."""
+    protection = rig.config.protection
+    highest_rad = np.where(np.arange(5) == joint, angle_rad, protection.highest_rad)
+    monitored = (*highest_rad.tolist(), *protection.monitored_highest[5:])
+    protection = replace(protection, highest_rad=highest_rad, monitored_highest=monitored)
+    rig.config = replace(rig.config, protection=protection)
+    return {}
 
 
 def resolver_off(rig, joint, off_rad):
@@ -73,8 +84,9 @@ def resolver_off(rig, joint, off_rad):
 
 
 def skip(rig, cycles=BOUNDS.missed_cycles + 1):
-    """Run a cycle after so many that flight software missed."""
+    """Run a cycle after so many that flight software missed, and the next, which confirms it."""
     rig.cycles += cycles
+    rig.cycle()
     return rig.cycle()
 
 
