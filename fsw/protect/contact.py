@@ -58,8 +58,7 @@ def check_contact_kept(
     """Check that a tool that presses has a switch closed; count the cycles in a row without one.
 
     One closed switch is enough, so that another may be dead. With the holding force or less all may be open
-    for a while: a touch waits for them at its end. The persistence is as long as a gear takes to cross its
-    backlash, for while it does, the arm may press with less than is believed.
+    for a while: gears cross their backlash during a touch, which ends only when a switch is closed.
     """
     is_firm = press.force_N > bounds.holding_force_N[press.tool]
     if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):
