@@ -317,10 +317,16 @@ class Params:
         """Return the believed force that keeps each tool in contact.
 
         A force that is shared evenly closes the switches of a tool last: at that of one switch times their
-        number. One step of a press more is for what so small a force loses on its way to the surface.
+        number. One step of a press more is for what so small a force loses on its way to the surface. It is
+        never more than a guarded tool may press with while its switches are open.
         """
+        switch_N, step_N, most_N = (
+            self.motion.switch_force_N,
+            self.preload.step_N,
+            self.monitors.guarded_force_N,
+        )
         return {
-            tool: len(switches) * self.motion.switch_force_N + self.preload.step_N
+            tool: min(len(switches) * switch_N + step_N, most_N)
             for tool, switches in self.tool_switches.items()
         }
 

@@ -208,19 +208,37 @@ def _press_on_contact(
     settling = MoveUpdate(_enter_phase(move, Phase.SETTLE), (made,))
     if made.travel_m == 0:
         return settling
-    stopped_joints = replace(joints, motor_rad=at_rest.motor_rad)
-    touch = model_contact(config, stopped_joints, tool)
+    touch = model_contact(config, replace(joints, motor_rad=at_rest.motor_rad), tool)
+    pressing = _press_touch(config, move, touch, joints, config.params.holding_force_N[tool])
+    return settling if pressing is None else replace(pressing, evrs=(made,))
+
+
+def _press_touch(
+    config: Config, move: Move, touch: PreloadState, joints: JointEstimate, force_N: float
+) -> MoveUpdate | None:
+    """Press a touching tool at rest with a force; None if no press can be planned."""
+    stopped_joints = replace(joints, motor_rad=move.setpoint.motor_rad)
     # in one leg, as if the stiffness were known: even on a stiffer arm the holding force stays small
     sure = replace(touch, force_ratio_std=ESTIMATED_RATIO_STD)
-    planned = plan_preload(config, stopped_joints, sure, config.params.holding_force_N[tool])
+    planned = plan_preload(config, stopped_joints, sure, force_N)
     if isinstance(planned, Refusal):
-        return settling
+        return None
     plan, change = planned
     pressing = replace(
         _begin_leg(move, plan, replace(change, start=touch)),
         current_limit_A=preload_limit_A(config, stopped_joints, change),
     )
-    return MoveUpdate(pressing, (made,), backlash_rad=plan.backlash_rad)
+    return MoveUpdate(pressing, backlash_rad=plan.backlash_rad)
+
+
+def _press_farther(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate | None:
+    """Press a touch with a step more, for its switches are all open; None if that is all that it may."""
+    change, params = move.plan.preload_change, config.params
+    if change is None:
+        return None
+    touch = change.state_after(distance_travelled(move))
+    force_N = min(touch.force_N + params.preload.step_N, params.monitors.guarded_force_N)
+    return _press_touch(config, move, touch, joints, force_N) if force_N > touch.force_N else None
 
 
 def _begin_leg(move: Move, plan: Plan, change: PreloadChange) -> Move:
@@ -291,19 +309,21 @@ def _travel(move: Move, time_s: float) -> float:
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> MoveUpdate:
-    """Wait until the motors rest at their set-points, and a guarded tool has a switch closed."""
+    """Wait until the motors rest at their set-points; press a guarded tool until a switch is closed.
+
+    On a soft rock, or with more friction than is modelled, that takes more than the holding force.
+    """
     motion, tool = config.params.motion, move.plan.guarded_tool
     error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
     still = np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
-    touches = tool is None or any(sensors.switch_closed[k] for k in config.protection.tool_switches[tool])
-    rests = still and error.max() < motion.settle_error_rad
-    settled_ticks = move.settled_ticks + 1 if rests and touches else 0
+    settled_ticks = move.settled_ticks + 1 if still and error.max() < motion.settle_error_rad else 0
     if settled_ticks >= config.settle_ticks:
-        return MoveUpdate(_enter_phase(move, Phase.BRAKE))
+        if tool is None or any(sensors.switch_closed[k] for k in config.protection.tool_switches[tool]):
+            return MoveUpdate(_enter_phase(move, Phase.BRAKE))
+        return _press_farther(config, move, joints) or MoveUpdate(move, (ContactLost(tool),))
     if move.ticks >= config.settle_timeout_ticks:
         joint = Joint(int(error.argmax()))
-        fault = NotSettled(joint, float(error[joint])) if tool is None or touches else ContactLost(tool)
-        return MoveUpdate(move, (fault,))
+        return MoveUpdate(move, (NotSettled(joint, float(error[joint])),))
     return MoveUpdate(replace(move, settled_ticks=settled_ticks, ticks=move.ticks + 1))
 
 
