@@ -371,9 +371,9 @@ def test_the_mahli_touches_with_all_switches_that_live_where_its_pads_share_the_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.05, 0.1, 20.0])
+@pytest.mark.parametrize("factor", [0.1, 20.0])
 @pytest.mark.parametrize("tool", WITH_SWITCHES)
-def test_every_tool_touches_soft_and_hard_rocks(tool, factor):
+def test_every_tool_touches_rocks_that_give_ten_times_as_much_as_a_pad_and_hard_ones(tool, factor):
     world = replace(tilted_world(-10.0, -16.7), surface=Surface(*EVEN))
     found = preview_placement(NOMINAL, world, Placement(tool, *EVEN))
     setup = Setup(NOMINAL, world, joints5(found.standoff_rad), reference=lab.true_reference(NOMINAL))
