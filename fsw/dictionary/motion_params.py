@@ -175,7 +175,7 @@ class MonitorParams:
     tilt_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a larger turn."""
     contact_persistence: Annotated[int, Limits(1, 640)]
-    """Cycles in which a tool that presses with more than its holding force has no closed switch."""
+    """Cycles in which a tool that presses with more than `guarded_force_N` has no closed switch."""
     preload_error_N: Annotated[float, Limits(1.0, 500.0)]
     """Largest difference between commanded force and force estimated from the wind-up of the joints."""
     preload_persistence: Annotated[int, Limits(1, 640)]
@@ -185,4 +185,4 @@ class MonitorParams:
     resolver_noise_rad: Annotated[float, Limits(1e-6, 1e-2)]
     """Noise of a resolver reading, one sigma, rounding included."""
     guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
-    """Largest force on a guarded tool, estimated from wind-up, while none of its switches is closed."""
+    """Largest force on a guarded tool while none of its switches is closed; before contact, from wind-up."""

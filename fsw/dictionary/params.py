@@ -319,11 +319,16 @@ class Params:
         """Return the believed force that keeps each tool in contact.
 
         A force that is shared evenly closes the switches of a tool last: at that of one switch times their
-        number. The true force may be less than believed by the least bound of its error, for friction of the
-        outputs takes as much as so small a force.
+        number. One step of a press more is for what so small a force loses on its way to the surface. It is
+        never more than a guarded tool may press with while its switches are open.
         """
+        switch_N, step_N, most_N = (
+            self.motion.switch_force_N,
+            self.preload.step_N,
+            self.monitors.guarded_force_N,
+        )
         return {
-            tool: len(switches) * self.motion.switch_force_N + self.preload.error_N
+            tool: min(len(switches) * switch_N + step_N, most_N)
             for tool, switches in self.tool_switches.items()
         }
 

@@ -220,12 +220,30 @@ def _press_on_contact(
     settling = MoveUpdate(_enter_phase(move, Phase.SETTLE), (made,))
     if made.travel_m == 0:
         return settling
-    stopped_joints = replace(joints, motor_rad=at_rest.motor_rad)
-    touch = model_contact(config, stopped_joints, tool)
+    touch = model_contact(config, replace(joints, motor_rad=at_rest.motor_rad), tool)
+    pressing = _press_touch(config, move, touch, joints, config.params.holding_force_N[tool])
+    return MoveUpdate(pressing, (made,))
+
+
+def _press_touch(
+    config: Config, move: Move, touch: PreloadState, joints: JointEstimate, force_N: float
+) -> Move:
+    """Plan to press a touching tool at rest with a force."""
+    stopped_joints = replace(joints, motor_rad=move.setpoint.motor_rad)
     # in one leg, as if the stiffness were known: even on a stiffer arm the holding force stays small
     sure = replace(touch, force_ratio_std=ESTIMATED_RATIO_STD)
-    work = plan_preload(config, stopped_joints, sure, config.params.holding_force_N[tool])
-    return MoveUpdate(_enter_phase(replace(move, next_leg=work), Phase.PLAN), (made,))
+    work = plan_preload(config, stopped_joints, sure, force_N)
+    return _enter_phase(replace(move, next_leg=work), Phase.PLAN)
+
+
+def _press_farther(config: Config, move: Move, joints: JointEstimate) -> Move | None:
+    """Plan to press a touch with a step more, for its switches are all open; None if that is all it may."""
+    change, params = move.plan.preload_change, config.params
+    if change is None:
+        return None
+    touch = change.state_after(distance_travelled(move))
+    force_N = min(touch.force_N + params.preload.step_N, params.monitors.guarded_force_N)
+    return _press_touch(config, move, touch, joints, force_N) if force_N > touch.force_N else None
 
 
 def _plan_leg(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
@@ -245,10 +263,17 @@ def _plan_leg(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
 
 
 def _end_press(move: Move, refused: Refusal | None) -> MoveUpdate:
-    """Settle at the present force; report a press whose force is not near its target, and why."""
+    """Settle at the present force; report a press whose force is not near its target, and why.
+
+    A touch whose first press is refused stays where its switch closed. If it must press on, because no switch
+    is closed any more, and cannot, its contact is lost.
+    """
     settling, change = _enter_phase(replace(move, force_fit=None), Phase.SETTLE), move.plan.preload_change
-    missed = () if change is None else report_miss(change.target_N, change.start, refused)
-    return MoveUpdate(settling, missed)
+    if change is None:
+        return MoveUpdate(settling)
+    if move.plan.guarded_tool is not None:
+        return MoveUpdate(settling, (ContactLost(move.plan.guarded_tool),))
+    return MoveUpdate(settling, report_miss(change.target_N, change.start, refused))
 
 
 def _begin_leg(move: Move, planned: PressPlan) -> Move:
@@ -319,19 +344,22 @@ def _travel(move: Move, time_s: float) -> float:
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> MoveUpdate:
-    """Wait until the motors rest at their set-points, and a guarded tool has a switch closed."""
+    """Wait until the motors rest at their set-points; press a guarded tool until a switch is closed.
+
+    On a soft rock, or with more friction than is modelled, that takes more than the holding force.
+    """
     motion, tool = config.params.motion, move.plan.guarded_tool
     error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
     still = np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
-    touches = tool is None or any(sensors.switch_closed[k] for k in config.protection.tool_switches[tool])
-    rests = still and error.max() < motion.settle_error_rad
-    settled_ticks = move.settled_ticks + 1 if rests and touches else 0
+    settled_ticks = move.settled_ticks + 1 if still and error.max() < motion.settle_error_rad else 0
     if settled_ticks >= config.settle_ticks:
-        return MoveUpdate(_enter_phase(move, Phase.BRAKE))
+        if tool is None or any(sensors.switch_closed[k] for k in config.protection.tool_switches[tool]):
+            return MoveUpdate(_enter_phase(move, Phase.BRAKE))
+        farther = _press_farther(config, move, joints)
+        return MoveUpdate(move, (ContactLost(tool),)) if farther is None else MoveUpdate(farther)
     if move.ticks >= config.settle_timeout_ticks:
         joint = Joint(int(error.argmax()))
-        fault = NotSettled(joint, float(error[joint])) if tool is None or touches else ContactLost(tool)
-        return MoveUpdate(move, (fault,))
+        return MoveUpdate(move, (NotSettled(joint, float(error[joint])),))
     return MoveUpdate(replace(move, settled_ticks=settled_ticks, ticks=move.ticks + 1))
 
 

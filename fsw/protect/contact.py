@@ -57,11 +57,10 @@ def check_contact_kept(
 ) -> tuple[int, tuple[Evr, ...]]:
     """Check that a tool that presses has a switch closed; count the cycles in a row without one.
 
-    One closed switch is enough, so that another may be dead. With the holding force or less all may be open
-    for a while: a touch waits for them at its end. The persistence is as long as a gear takes to cross its
-    backlash, for while it does, the arm may press with less than is believed.
+    One closed switch is enough, so that another may be dead. With no more force than a guarded tool may have
+    all may be open: gears cross their backlash during a touch, which ends only when a switch is closed.
     """
-    is_firm = press.force_N > bounds.holding_force_N[press.tool]
+    is_firm = press.force_N > bounds.monitors.guarded_force_N
     if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):
         return 0, ()
     lost = count + 1 >= bounds.monitors.contact_persistence

@@ -112,8 +112,6 @@ class ProtectionBounds:
     """Contact switches, in the order of the sensor word."""
     tool_switches: Mapping[str, tuple[int, ...]]
     """Indices of the contact switches of each tool."""
-    holding_force_N: Mapping[str, float]
-    """A tool that presses with more must have a switch closed, by name of the tool."""
     press_error_share: float
     """Error of the believed force of a press, as a share of it."""
     lowest_rad: Array
@@ -182,7 +180,6 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         arm=arm,
         switch_names=tuple(switch.name for switch in params.switches),
         tool_switches=params.tool_switches,
-        holding_force_N=params.holding_force_N,
         press_error_share=params.preload.error_share,
         lowest_rad=lowest,
         highest_rad=highest,

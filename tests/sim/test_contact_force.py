@@ -21,6 +21,7 @@ from fsw.kinematics.statics import ToolForce, settle_output
 from helpers.marks import slow_but
 from sim.arms import arm_named, nominal_params
 from sim.clearance import tool_forces
+from sim.effects.environment import ContactStiffness
 from sim.effects.faults import RockGone, SensorFault
 from sim.frames import FLIP, P_NR_M, p_R_from_N
 from sim.initialisation import true_reference
@@ -367,6 +368,19 @@ def test_the_mahli_touches_with_all_switches_that_live_where_its_pads_share_the_
     assert CommandCompleted("PlaceTool") in last.outputs.evrs
     assert loop.braked
     assert np.flatnonzero(last.sensors.switch_closed).tolist() == closed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.1, 20.0])
+@pytest.mark.parametrize("tool", WITH_SWITCHES)
+def test_every_tool_touches_rocks_that_give_ten_times_as_much_as_a_pad_and_hard_ones(tool, factor):
+    world = replace(tilted_world(-10.0, -16.7), surface=Surface(*EVEN))
+    found = preview_placement(NOMINAL, world, Placement(tool, *EVEN))
+    setup = Setup(NOMINAL, world, joints5(found.standoff_rad), reference=lab.true_reference(NOMINAL))
+    loop = ClosedLoop(replace(setup, effects=(ContactStiffness(factor),)))
+    *_, last = run_sequence(loop, (place_command(found.placement),))
+    assert CommandCompleted("PlaceTool") in last.outputs.evrs
+    assert last.sensors.switch_closed.any()
 
 
 @pytest.mark.slow

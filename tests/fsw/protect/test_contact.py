@@ -50,7 +50,7 @@ from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, WITH_SWITCHES
 
 FREE = [Mode.STOWED, Mode.DEPLOYED, Mode.FREE_SPACE]
 TOUCHING = [Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD]
-HOLDING_N = PARAMS.holding_force_N
+GUARDED_N = MONITORS.guarded_force_N
 SHARE = PARAMS.preload.error_share
 with_switches = pytest.mark.parametrize("tool", WITH_SWITCHES)
 joints = pytest.mark.parametrize("joint", Joint)
@@ -88,7 +88,7 @@ def test_of_several_closed_switches_the_first_is_named():
 @with_switches
 def test_a_contact_is_lost_when_no_switch_of_the_tool_has_been_closed_for_exactly_its_persistence(tool):
     others = closed(*(switch for switch in SWITCHES if switch not in TOOL_SWITCHES[tool]))
-    press = a_press(tool, above(HOLDING_N[tool]))
+    press = a_press(tool, above(GUARDED_N))
     assert_reports_from(
         MONITORS.contact_persistence,
         lambda count: check_contact_kept(BOUNDS, count, press, others),
@@ -102,7 +102,7 @@ def test_one_closed_switch_is_contact_and_a_tool_that_presses_no_more_than_a_tou
 ):
     for switch in TOOL_SWITCHES[tool]:
         assert check_contact_kept(BOUNDS, 100, a_press(tool, 300.0), closed(switch)) == (0, ())
-    for force_N in (HOLDING_N[tool], 0.0, -1.0):
+    for force_N in (GUARDED_N, 0.0, -1.0):
         assert check_contact_kept(BOUNDS, 100, a_press(tool, force_N), closed()) == (0, ())
 
 
