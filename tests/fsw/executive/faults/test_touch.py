@@ -43,11 +43,12 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         assert not lab.found(rig, evrs.FaultResponse)
 
 
-def test_a_touch_that_ends_with_all_switches_open_has_lost_contact_and_is_no_more_than_that():
+def test_a_touch_presses_on_while_all_switches_are_open_and_then_has_lost_contact():
     rig = lab.in_guarded_motion("apxs")
     rig.cycle(**lab.closed("apxs_1"))
     rig.run()
     assert lab.found(rig, faults.Fault) == [faults.ContactLost("apxs")]
+    assert rig.state.preload.force_N == pytest.approx(lab.BOUNDS.guarded_force_N)
     assert evrs.CommandAborted("GuardedMove") in rig.evrs
 
 
