@@ -70,7 +70,7 @@ def test_a_run_that_is_made_again_is_the_same(tmp_path):
     again.mkdir()
     differs, printed = print_differences(make(SHORT, tmp_path), make(SHORT, again))
     assert not differs
-    assert printed == "no-number: identical: 81 ticks, 1.3 s, 26 channels\n"
+    assert printed == "no-number: identical: 88 ticks, 1.4 s, 39 channels\n"
 
 
 def test_what_differs_is_printed():

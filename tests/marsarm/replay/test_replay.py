@@ -59,7 +59,7 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
 def test_the_same_is_status_0(tmp_path):
     done = marsarm(tmp_path, "replay", str(FOLDER / "fault.mcap"))
     assert (done.returncode, done.stderr) == (0, "")
-    assert "117 ticks, 1.8 s, 26 channels" in done.stdout
+    assert "132 ticks, 2.1 s, 39 channels" in done.stdout
 
 
 def test_a_channel_that_nobody_has_is_refused(tmp_path):
