@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from fsw.config import CYCLE_S, Config, configure_at
 from fsw.dictionary.arguments import Wrong, read_arguments
-from fsw.dictionary.commands import ClearFault, Command
+from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.evrs import Booted, CommandRefused, Evr, FaultCleared, FaultResponse, ModeChanged
-from fsw.dictionary.faults import Fault, ReadingImplausible
+from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.faults import ReadingImplausible
 from fsw.estimate.joints import (
     JointEstimate,
     LoadEstimate,
@@ -19,8 +19,9 @@ from fsw.estimate.joints import (
     update_joints,
     update_load,
 )
+from fsw.executive.clearing import find_uncleared, refuse_clear, without_clear
 from fsw.executive.commands import continue_planning, continue_sequence, handle
-from fsw.executive.context import CommandContext, command_name, known_names, refuse
+from fsw.executive.context import CommandContext, known_names, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Outputs, Sensors, ToolChannels
@@ -89,8 +90,8 @@ def step(
         readings=readings,
     )
     evrs = decided + after.evrs
-    if commands and (fault := _find_uncleared(evrs)) is not None:
-        return _refuse_clear(step(at_boot, before, sensors, _without_clear(commands)), commands, fault)
+    if commands and (fault := find_uncleared(evrs)) is not None:
+        return refuse_clear(step(at_boot, before, sensors, without_clear(commands)), commands, fault)
     if before.tick == 0 or state.mode is not before.mode:
         evrs = _report_changes(config, before, state, evrs)
     channels = joint_channels(before.tick, state, backlash_state)
@@ -106,28 +107,6 @@ def _report_changes(config: Config, before: State, state: State, evrs: tuple[Evr
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
     return evrs
-
-
-def _find_uncleared(evrs: tuple[Evr, ...]) -> Fault | None:
-    """Find a fault that was found in the cycle in which one was cleared."""
-    kinds = {type(evr) for evr in evrs}
-    if not {FaultCleared, FaultResponse} <= kinds:
-        return None
-    return next(evr for evr in evrs if isinstance(evr, Fault))
-
-
-def _without_clear(commands: tuple[Command, ...]) -> tuple[Command, ...]:
-    return tuple(one for one in commands if not isinstance(one, ClearFault))
-
-
-def _refuse_clear(
-    cycle: tuple[State, Outputs], commands: tuple[Command, ...], fault: Fault
-) -> tuple[State, Outputs]:
-    """Refuse to clear a fault: report it before the events of the cycle that was computed without."""
-    state, outputs = cycle
-    reason = f"it is still there: {fault.message}"
-    refused = [CommandRefused(command_name(one), reason) for one in commands if isinstance(one, ClearFault)]
-    return state, replace(outputs, evrs=(*refused, *outputs.evrs))
 
 
 def _get_turning(move: Move) -> Flags:
