@@ -74,7 +74,9 @@ class PlannedSequence:
 def plan_command(start: Start, command: MotionCommand) -> Work[PlannedSequence | Refusal]:
     """Begin the planning of a command."""
     match command:
-        case PlaceTool() | ToolChange() | MoveTool(straight=False) | MoveTeachPoint(straight=False):
+        case PlaceTool() | ToolChange() | MoveTeachPoint(straight=False):
+            return BranchedPlanning(start, command)
+        case MoveTool(straight=False, branch=branch) if branch == AUTO:
             return BranchedPlanning(start, command)
         case Process():
             return ProcessPlanning(start, command, find_gravity_pose(start.joints, command))
@@ -190,7 +192,10 @@ class Search(Work[PlannedSequence | Refusal]):
             return replace(self, plan=planned)
         way, left = self.ways[0], self.ways[1:]
         if isinstance(planned, Refusal):
-            return self._go_on(left, self.fastest, (*self.refusals, planned))
+            refusals = (*self.refusals, planned)
+            if not planned.is_blocked and not isinstance(way.command, PlaceTool | ToolChange):
+                return refusals[0]  # a retraction helps only where something is in the way
+            return self._go_on(left, self.fastest, refusals)
         if not isinstance(way.command, PlaceTool | ToolChange):
             if way.back_m == 0 or isinstance(way.command, Stow):
                 return planned
