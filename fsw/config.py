@@ -57,7 +57,7 @@ class Config:
         return digest(self.params)
 
     def prepare(self) -> "Config":
-        """Compute what is otherwise computed when it is first asked for, so that no cycle has to."""
+        """Compute what is otherwise computed when it is first asked for, so that no first cycle has to."""
         _ = self.collision_geometry, self.params_sha256
         return self
 

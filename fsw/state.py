@@ -56,6 +56,8 @@ class Planning:
     """Surface that the command is to keep away from."""
     events: tuple[Evr, ...]
     """Events to report when the command begins, on what it was planned from."""
+    start_rad: Array
+    """Motor angles from which it is planned, (5,)."""
     work: Work[Any]
     """Work that is left."""
 

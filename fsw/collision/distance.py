@@ -192,6 +192,20 @@ def compute_clearances(
     return Clearances(near_m, beyond_m)
 
 
+def compute_surface_heights(
+    geometry: CollisionGeometry, frames: Frames, surface: TargetSurface, touching: str
+) -> Array:
+    """Compute the least height of each part above a plane surface in n poses, (parts,) [m].
+
+    A tool that is to touch, and parts that need not keep away from a surface, are infinitely high.
+    """
+    arm, height_m = geometry.arm, np.full(len(geometry.parts), np.inf)
+    lowest_m = _compute_heights(geometry, place_shapes(geometry, frames), surface).min(axis=1)
+    counts = (arm.carrier >= SURFACE_FRAME) & (arm.part != geometry.parts.index(touching))
+    np.minimum.at(height_m, arm.part[counts], lowest_m[counts])
+    return height_m
+
+
 def measure_motion(geometry: CollisionGeometry, frames: Frames) -> Array:
     """Measure how far the shapes of the arm move from each pose (n) to the next, (n - 1,) [m].
 

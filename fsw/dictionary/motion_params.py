@@ -26,8 +26,11 @@ class MotionParams:
     """Largest distance of each joint of a stowed arm from the stowed pose."""
     takeup_rad: Annotated[float, Limits(1e-5, 0.05)]
     """Least distance over which the gear drags an output that its load does not hold to its goal."""
-    tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
-    """Largest speed of the farthest tool in a joint move; it limits the impact on an unforeseen obstacle."""
+    tool_speed_m_s: Annotated[float, Limits(5e-3, 1.0)]
+    """Largest speed of the farthest tool in a joint move; it limits the impact on an unforeseen obstacle.
+
+    The longest way of a tool, some 20 m, then takes less than the 7,600 s for which a path can be computed.
+    """
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
     """Speed of the tool in straight moves that meet something, or may: guarded and free ones."""
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]

@@ -30,6 +30,8 @@ MAX_STOP_DEPTH_RAD: Final = 0.1
 """Largest distance of a hardstop below the soft limit."""
 MAX_RATED_SHARE: Final = 0.5
 """Share of the rated torque of a hardstop; speed, noise and friction need the rest."""
+MOST_KNOTS: Final = 120
+"""Most knots of a line or of a press: an iteration of all of them takes some 2 ms, of 15.6 ms of a cycle."""
 ROUNDING: Final = 1e-12
 """Relative rounding error of a symmetric matrix."""
 
@@ -84,6 +86,7 @@ def check_arm(params: Params) -> Iterator[str]:
     yield from _check_hardstops(params)
     yield from _check_homing(params)
     yield from _check_motion(params)
+    yield from _check_knots(params)
     yield from _check_geometry(params)
 
 
@@ -221,6 +224,20 @@ def _check_motion(params: Params) -> Iterator[str]:
             f"preload.max_force_N: {preload.max_force_N} is below {held_N:g}, motion.switch_force_N and "
             "preload.step_N, with which a tool is kept in contact"
         )
+
+
+def _check_knots(params: Params) -> Iterator[str]:
+    """Yield a sentence for each spacing with which a piece of planning would take too long for a cycle."""
+    motion, preload = params.motion, params.preload
+    for name, step, longest, length in (
+        ("motion.line_step_m", motion.line_step_m, "motion.line_max_m", motion.line_max_m),
+        ("preload.step_N", preload.step_N, "preload.max_force_N", preload.max_force_N),
+    ):
+        if length > MOST_KNOTS * step:
+            yield (
+                f"{name}: {step} is below {length / MOST_KNOTS:.3g}, a {MOST_KNOTS}th of {longest}; a piece "
+                "of planning would take longer than a cycle"
+            )
 
 
 def _check_geometry(params: Params) -> Iterator[str]:

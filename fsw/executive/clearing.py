@@ -32,6 +32,6 @@ def refuse_clear(
 ) -> tuple[State, Outputs]:
     """Refuse to clear a fault, before the events of the cycle that was computed without this command."""
     state, outputs = cycle
-    reason = f"it is still there: {fault.message}"
+    reason = f"a fault was found in the same cycle: {fault.message}"
     refused = [CommandRefused(command_name(one), reason) for one in commands if isinstance(one, ClearFault)]
     return state, replace(outputs, evrs=(*refused, *outputs.evrs))

@@ -1,4 +1,4 @@
-"""Command handling: each command begins a move or a sequence, changes a setting, or is refused.
+"""Command handling: each command is planned, begins a move, changes a setting, or is refused.
 
 A command is checked completely before anything moves.
 """
@@ -127,17 +127,22 @@ def handle(config: Config, context: CommandContext, command: SequenceStep) -> Co
 
 
 def continue_planning(config: Config, context: CommandContext) -> CommandContext:
-    """Do the next piece of planning; with a plan the command begins, with a refusal it ends."""
+    """Do the next piece of planning; with a plan the command begins, with a refusal it ends.
+
+    A plan from first readings that the next ones contradict is given up.
+    """
     planning = context.state.planning
     if planning is None:
         return context
-    if context.state.mode is Mode.FAULTED:
+    if context.state.mode is Mode.FAULTED or context.state.readings.begins:
         return end_planning(context)
     result = planning.work.advance(config)
     if isinstance(result, Work):
         return replace(context, state=replace(context.state, planning=replace(planning, work=result)))
     state = replace(context.state, mode=planning.rest_mode, planning=None)
     context = replace(context, state=state)
+    if not isinstance(result, Refusal):
+        result = _refuse_moved(config, context, planning) or result
     if isinstance(result, Refusal):
         context = refuse(context, planning.command, result.reason)
         if state.sequence is None:
@@ -149,6 +154,18 @@ def continue_planning(config: Config, context: CommandContext) -> CommandContext
         return _begin_sequence(config, context, planning, result)
     assert isinstance(planning.command, SingleMoveCommand)  # no other command is planned
     return _begin_move(config, context, planning.command, result.plans, planning.surface)
+
+
+def _refuse_moved(config: Config, context: CommandContext, planning: Planning) -> Refusal | None:
+    """Refuse a plan whose start the motors have left, although their brakes were on."""
+    moved_rad = np.abs(context.state.joints.motor_rad - planning.start_rad)
+    if moved_rad.max() <= config.params.motion.settle_error_rad:
+        return None
+    joint = Joint(int(moved_rad.argmax()))
+    return Refusal(
+        f"{joint.name.lower()} has moved by {moved_rad[joint]:.6f} rad while the command was planned; "
+        "send it again"
+    )
 
 
 def end_planning(context: CommandContext) -> CommandContext:
@@ -292,7 +309,7 @@ def _plan(
 ) -> CommandContext:
     """Begin the planning of a command, which the arm awaits on its brakes."""
     state = context.state
-    planning = Planning(command, state.mode, surface, events, work)
+    planning = Planning(command, state.mode, surface, events, state.joints.motor_rad, work)
     mode = TRANSITIONS[state.mode, ModeEvent.PLAN]
     return replace(context, state=replace(state, mode=mode, planning=planning))
 

@@ -192,10 +192,9 @@ class Search(Work[PlannedSequence | Refusal]):
             return replace(self, plan=planned)
         way, left = self.ways[0], self.ways[1:]
         if isinstance(planned, Refusal):
-            refusals = (*self.refusals, planned)
-            if not planned.is_blocked and not isinstance(way.command, PlaceTool | ToolChange):
-                return refusals[0]  # a retraction helps only where something is in the way
-            return self._go_on(left, self.fastest, refusals)
+            if not planned.is_blocked:  # a retraction helps only where something is in the way
+                left = tuple(other for other in left if other.back_m == 0)
+            return self._go_on(left, self.fastest, (*self.refusals, planned))
         if not isinstance(way.command, PlaceTool | ToolChange):
             if way.back_m == 0 or isinstance(way.command, Stow):
                 return planned

@@ -15,12 +15,13 @@ from fsw.collision.distance import (
     PathClearance,
     begin_clearance,
     compute_clearances,
+    compute_surface_heights,
     describe_violation,
     follow_clearance,
     limit_surface,
     measure_motion,
 )
-from fsw.collision.geometry import SURFACE, TargetSurface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import bound_gear
@@ -55,6 +56,8 @@ POSES: Final = 32
 """Most poses in a piece of work; each takes some 25 us."""
 PAIRS: Final = 300
 """Most pairs of shapes in a piece of work whose distance is computed exactly; each takes some 2.5 us."""
+SHORTEST_S: Final = 1e-3
+"""Shortest step: a path is continuous, and no joint turns far in this time."""
 SHORTER: Final = 0.8
 """Share of the step of the right length that is tried next, as the arm may be faster there."""
 LONGER: Final = 2.0
@@ -95,7 +98,7 @@ def walk_on(walk: PathWalk, step_rad: float) -> tuple[PathWalk, ...]:
         motor_rad = path.at(time_s).motor_rad
         turn_rad = float(np.abs(motor_rad - walk.motor_rad).sum())
         right = SHORTER * step_rad / max(turn_rad, 1e-9)
-        if turn_rad > step_rad:
+        if turn_rad > step_rad and step_s > SHORTEST_S:
             walk = replace(walk, step_s=right * step_s)
             continue
         is_end = time_s >= path.duration_s
@@ -237,10 +240,10 @@ class TouchCheck(Work[str | None]):
         places = (self.walk, *walk_on(self.walk, LONG_STEP_RAD))
         motor = np.stack([place.motor_rad for place in places], axis=1)
         frames = compute_deflected_frames(config, self.joints, motor)
-        geometry, padding_m = config.collision_geometry, config.params.collision.padding_m
+        geometry = config.collision_geometry
         surface = TargetSurface(tool_pose(config.arm, frames, self.touching).p, self.normal_R)
-        found = compute_clearances(geometry, frames, padding_m, self.touching, surface)
-        height_m = np.minimum(self.height_m, found.near_m[:, SURFACE].min(axis=1))
+        height_m = compute_surface_heights(geometry, frames, surface, self.touching)
+        height_m = np.minimum(self.height_m, height_m)
         after = replace(self, walk=places[-1], height_m=height_m)
         return after if after.walk.paths else after._judge(config)
 

@@ -72,7 +72,7 @@ class MovePlan:
     travelled: float = 0.0
     """Travel along the completed paths over knots, in metres, or in newtons of a preload."""
     guarded_tool: str | None = None
-    """Tool whose contact ends the move; None for a move that is not to touch."""
+    """Tool that is to touch, which then presses; None for a move that is not to touch."""
     touched: bool = False
     """True once a switch of the guarded tool has closed."""
     preload_change: PreloadChange | None = None
@@ -93,7 +93,7 @@ class Move:
     """Cycles in this phase; in RUN, cycles in this path."""
     homing: Homing | None = None
     force_fit: ForceFit | None = None
-    """Fit of the motor currents while a preload changes; None once the preload is corrected."""
+    """Fit of the motor currents in a commanded press; None in a touch, and once the force is corrected."""
     next_leg: Work[PressPlan | Refusal] | None = None
     """Work of planning the next leg of a press, in PLAN."""
     settled_ticks: int = 0

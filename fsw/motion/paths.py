@@ -3,6 +3,7 @@
 Paths are immutable.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,16 +31,38 @@ class Setpoint:
         return Setpoint(self.motor_rad, np.zeros_like(self.rate_rad_s))
 
 
+@dataclass(frozen=True, slots=True)
+class TrajectoryRequest:
+    """Start and end at rest, and bounds, of each degree of freedom."""
+
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    speed: tuple[float, ...]
+    acceleration: tuple[float, ...]
+    jerk: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JerkLimited:
+    """Jerk-limited trajectory; it is copied and written as the request that it was computed from."""
+
+    request: TrajectoryRequest
+    trajectory: Trajectory
+
+    def __reduce__(self) -> tuple[Callable[[TrajectoryRequest], "JerkLimited"], tuple[TrajectoryRequest]]:
+        return plan_trajectory, (self.request,)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPath:
     """Jerk-limited move of all joints, which start and end together, at rest."""
 
     duration_s: float
-    trajectory: Trajectory
+    trajectory: JerkLimited
 
     def at(self, time_s: float) -> Setpoint:
         """Compute the set-point at a time from the start; after the end, the last one."""
-        position, velocity, _ = self.trajectory.at_time(min(time_s, self.duration_s))
+        position, velocity, _ = self.trajectory.trajectory.at_time(min(time_s, self.duration_s))
         return Setpoint(np.array(position), np.array(velocity))
 
 
@@ -58,7 +81,7 @@ class LinePath:
     """Jerk-limited travel over equally spaced knots; cubics join the knots."""
 
     duration_s: float
-    travel: Trajectory
+    travel: JerkLimited
     step: float
     """Travel from one knot to the next, in the unit of its Travel."""
     coefficients: Array
@@ -76,7 +99,7 @@ class LinePath:
 
     def travel_at(self, time_s: float) -> tuple[float, float]:
         """Compute travel and speed at a time from the start."""
-        position, velocity, _ = self.travel.at_time(min(time_s, self.duration_s))
+        position, velocity, _ = self.travel.trajectory.at_time(min(time_s, self.duration_s))
         return position[0], velocity[0]
 
 
@@ -115,10 +138,10 @@ Path = JointPath | LinePath | HoldPath | StopPath
 def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
     """Compute the fastest jerk-limited move within bounds of joints and tools, by motor angles, (5,) each."""
     speed_rad_s = config.speed_rad_s * _speed_share(config, start_rad, end_rad)
-    trajectory = _plan_trajectory(
-        start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3
+    planned = plan_trajectory(
+        _request(start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3)
     )
-    return JointPath(trajectory.duration, trajectory)
+    return JointPath(planned.trajectory.duration, planned)
 
 
 def _speed_share(config: Config, start_rad: Array, end_rad: Array) -> float:
@@ -150,8 +173,8 @@ def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
     steepest = np.max(_max_slopes(coefficients) / config.speed_rad_s) / step
     speed = min(travel.speed, 1.0 / max(float(steepest), 1e-9))
     bounds = (np.array([bound]) for bound in (speed, travel.acceleration, travel.jerk))
-    trajectory = _plan_trajectory(np.zeros(1), np.array([travel.length]), *bounds)
-    return LinePath(trajectory.duration, trajectory, step, coefficients)
+    planned = plan_trajectory(_request(np.zeros(1), np.array([travel.length]), *bounds))
+    return LinePath(planned.trajectory.duration, planned, step, coefficients)
 
 
 def stop_path(config: Config, start: Setpoint) -> StopPath:
@@ -162,18 +185,23 @@ def stop_path(config: Config, start: Setpoint) -> StopPath:
     return StopPath(max(duration, CYCLE_S), start)
 
 
-def _plan_trajectory(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Array) -> Trajectory:
-    request = InputParameter(len(start))
-    request.current_position = start
-    request.target_position = end
-    request.max_velocity = speed
-    request.max_acceleration = acceleration
-    request.max_jerk = jerk
-    trajectory = Trajectory(len(start))
-    result = Ruckig(len(start)).calculate(request, trajectory)
+def plan_trajectory(request: TrajectoryRequest) -> JerkLimited:
+    """Compute a trajectory within its bounds."""
+    parameters = InputParameter(len(request.start))
+    parameters.current_position = list(request.start)
+    parameters.target_position = list(request.end)
+    parameters.max_velocity = list(request.speed)
+    parameters.max_acceleration = list(request.acceleration)
+    parameters.max_jerk = list(request.jerk)
+    trajectory = Trajectory(len(request.start))
+    result = Ruckig(len(request.start)).calculate(parameters, trajectory)
     if result != Result.Working and result != Result.Finished:
-        raise ValueError(f"no trajectory from {start} to {end}: {result}")
-    return trajectory
+        raise ValueError(f"no trajectory for {request}: {result}")
+    return JerkLimited(request, trajectory)
+
+
+def _request(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Array) -> TrajectoryRequest:
+    return TrajectoryRequest(*(tuple(one.tolist()) for one in (start, end, speed, acceleration, jerk)))
 
 
 def _max_slopes(coefficients: Array) -> Array:

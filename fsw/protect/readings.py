@@ -169,6 +169,8 @@ class History:
     """Last plausible numbers; kept where they are older than those that are used."""
     ages: tuple[int, ...] = NO_AGE
     """Cycles since the last plausible number: 0 for one of this cycle."""
+    lasted: tuple[int, ...] = NO_AGE
+    """Readings in a row that were not plausible; a cycle that was missed has none."""
     cycle_read: int = 0
     """Cycle count as it was read."""
     cycle_age: int = 0
@@ -180,7 +182,7 @@ class History:
     turned: tuple[bool, ...] = STANDING
     """Joints that may have turned since their last plausible numbers."""
     unused: tuple[int, ...] = NO_AGE
-    """Numbers that were not used since boot."""
+    """How often each number was not used since boot."""
     unused_at: tuple[float, ...] = NO_TIME
     """Cycle count at which a number was last not used."""
 
@@ -217,7 +219,7 @@ class ReadingState:
     @property
     def is_plain(self) -> bool:
         """Return whether all numbers are plausible."""
-        return self.history.ages is NO_AGE
+        return self.history.ages == NO_AGE
 
     @property
     def last(self) -> Numbers:
@@ -321,18 +323,32 @@ def _judge_each(
     plausible[GRAVITY] = [all(plausible[GRAVITY])] * 3
     if not before.is_confirmed and not all(a or not b for a, b in zip(plausible, in_range, strict=True)):
         begun = ReadingState(cycle, read, history=history)
+        if all(in_range) and not any(turns):
+            # the first readings are not used any more: tell what they were, beside the present ones
+            around = _compute_limits(bounds, NO_AGE, read, turned, target, elapsed)
+            told, found = _tell(bounds, replace(begun, read=since), plausible, around)
+            begun = replace(begun, history=told.history)
+            return _begin(bounds, begun, sensors, in_range, limits, evrs + found)
         return _begin(bounds, begun, sensors, in_range, limits, evrs, plausible, any(turns))
     if all(plausible):
-        history = replace(history, ages=NO_AGE, is_confirmed=True, begins=False, turned=STANDING)
+        history = replace(
+            history, ages=NO_AGE, lasted=NO_AGE, is_confirmed=True, begins=False, turned=STANDING
+        )
         near = None if history.cycle_age else _find_near(bounds, read, turning)
         return ReadingState(cycle, read, read, since, history, near), sensors, evrs
     ages = tuple(0 if good else age + elapsed for good, age in zip(plausible, before.ages, strict=True))
+    lasted = _count_lasted(before, plausible)
     kept = tuple(now if good else was for good, now, was in zip(plausible, read, since, strict=True))
-    history = replace(history, last=kept, ages=ages, begins=False, turned=turned)
+    history = replace(history, last=kept, ages=ages, lasted=lasted, begins=False, turned=turned)
     used = _choose(bounds, last, read, plausible, drive, elapsed)
     earlier = tuple(a if good else b for good, a, b in zip(plausible, since, last.earlier, strict=True))
     told, found = _tell(bounds, ReadingState(cycle, read, used, earlier, history), plausible, limits)
     return told, _with_numbers(sensors, used), evrs + found
+
+
+def _count_lasted(history: History, plausible: list[bool]) -> tuple[int, ...]:
+    """Count the readings in a row that were not plausible."""
+    return tuple(0 if good else n + 1 for good, n in zip(plausible, history.lasted, strict=True))
 
 
 def _judge_cycle(
@@ -418,11 +434,12 @@ def _begin(
     good = in_range if agreed is None or not all(in_range) else agreed
     ages, read = begun.history.ages, begun.read
     if all(in_range):
-        history = replace(begun.history, ages=NO_AGE, is_confirmed=False, begins=True)
+        history = replace(begun.history, ages=NO_AGE, lasted=NO_AGE, is_confirmed=False, begins=True)
         begun = replace(begun, used=read, earlier=read, history=history)
     else:
         ages = tuple(0 if ok else age + 1 for ok, age in zip(good, ages, strict=True))
-        begun = replace(begun, history=replace(begun.history, ages=ages, begins=False))
+        lasted = _count_lasted(begun.history, good)
+        begun = replace(begun, history=replace(begun.history, ages=ages, lasted=lasted, begins=False))
     after, found = _tell(bounds, begun, good, limits, is_fault=turns)
     return after, sensors, evrs + found
 
@@ -438,7 +455,7 @@ def _tell(
     history = state.history
     for sensor, numbers in SENSORS:
         bad = [k for k in numbers if not plausible[k]]
-        lasting = [k for k in bad if is_fault or history.ages[k] >= bounds.persistence]
+        lasting = [k for k in bad if is_fault or history.lasted[k] >= bounds.persistence]
         new = [k for k in bad if state.cycle - history.unused_at[k] > bounds.persistence]
         if lasting:
             evrs.append(ReadingImplausible(*_describe(bounds, sensor, lasting, state.read, limits)))
@@ -523,7 +540,7 @@ def accept_present(
     jumps = tuple(
         (joint, int(read[k] - state.used[k])) for joint in Joint if ages[k := ENCODER.start + joint] > 0
     )
-    history = replace(state.history, ages=NO_AGE, turned=STANDING)
+    history = replace(state.history, ages=NO_AGE, lasted=NO_AGE, turned=STANDING)
     return replace(state, used=read, earlier=read, history=history), jumps
 
 

@@ -173,6 +173,8 @@ NO_ARM = [
     ("joints.turret.gear_ratio", 800.0, "motion.settle_error_rad: 3e-05 is below 3.07e-05, an encoder count"),
     ("monitors.guarded_force_N", 2.0, "monitors.guarded_force_N: 2.0 is not above motion.switch_force_N 2"),
     ("motion.switch_force_N", 25.0, "monitors.guarded_force_N: 25.0 is not above motion.switch_force_N 25"),
+    ("motion.line_step_m", 0.004, "motion.line_step_m: 0.004 is below 0.005, a 120th of motion.line_max_m"),
+    ("preload.step_N", 1.0, "preload.step_N: 1.0 is below 2.92, a 120th of preload.max_force_N"),
     ("preload.max_force_N", 11.0, "preload.max_force_N: 11.0 is below 12, motion.switch_force_N and"),
 ]
 """A parameter, a value within its own limits, and what is said of it; None where the arm can have it."""

@@ -1,5 +1,6 @@
 """Readings that cannot be, frozen ones, missed cycles, and another gravity than at the start of a move."""
 
+import pickle
 from dataclasses import replace
 from itertools import pairwise
 from math import atan2
@@ -295,6 +296,33 @@ def test_nothing_begins_with_a_wild_reading(name, place):
             assert len(faults) == (cycle >= PERSISTENCE)
         watch.judge()
         assert watch.state.begins
+
+
+def test_first_readings_that_the_next_contradict_are_told_and_the_present_ones_are_not():
+    watch = Watch(0)
+    watch.judge(**with_number("winding_C", 2, -30.0))
+    watch.judge()
+    (evr,) = watch.evrs
+    assert (evr.sensor, evr.value) == ("winding_C[2]", -30.0)
+    assert evr.lowest <= -40.0 <= evr.highest < -30.0
+
+
+@pytest.mark.parametrize("wild", [1e300, 30.0])
+def test_a_wild_reading_after_missed_cycles_is_one_reading(wild):
+    """Cycles that were missed have no readings that could be wrong."""
+    watch = Watch()
+    for _ in range(2):
+        watch.judge(cycles=MONITORS.missed_cycles + 1, **with_number("winding_C", 0, wild))
+        assert not any(isinstance(evr, ReadingImplausible) for evr in watch.evrs)
+
+
+def test_a_state_that_was_written_and_read_again_goes_on_alike():
+    watch, other = Watch(), Watch()
+    other.state = pickle.loads(pickle.dumps(other.state))
+    for one in (watch, other):
+        one.judge(**with_number("winding_C", 0, 1e300))
+    assert watch.evrs == other.evrs
+    assert watch.state.used == other.state.used
 
 
 def test_a_move_that_began_on_first_readings_is_ended_where_the_next_contradict_them():

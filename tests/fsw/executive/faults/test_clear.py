@@ -24,7 +24,7 @@ def test_a_fault_that_is_still_there_is_not_cleared_whatever_else_is_commanded()
     rig.cycle(Stop(), ClearFault(), MoveJoints(floats(lab.START)), **frozen(rig))
     refused, stopped, move = rig.evrs
     assert refused.command == "ClearFault"
-    assert refused.reason.startswith("it is still there: current_A reads the same")
+    assert refused.reason.startswith("a fault was found in the same cycle: current_A reads the same")
     assert stopped == evrs.CommandCompleted("Stop")
     assert move == evrs.CommandRefused("MoveJoints", "a fault stands; clear it first")
     assert rig.state.mode is Mode.FAULTED

@@ -379,7 +379,7 @@ def test_all_frozen_sensors_are_named_once_each_and_are_not_cleared():
     rig.evrs.clear()
     rig.cycle(ClearFault(), **frozen)
     (refused,) = rig.evrs
-    assert refused.reason.startswith("it is still there: resolver_rad reads the same")
+    assert refused.reason.startswith("a fault was found in the same cycle: resolver_rad reads the same")
     assert rig.state.mode is Mode.FAULTED
 
 
