@@ -47,7 +47,7 @@ MOST_FORCE: Final = 1.5
 RUN_CYCLES: Final = 500
 """Cycles from a start of the arm; after more, most arms have a standing fault or unfit parameters."""
 COMMAND_SHARE: Final = {True: 0.1, False: 0.6}
-"""Share of cycles with commands while the arm moves, and while it rests."""
+"""Share of cycles with commands while a command is under way, and while none is."""
 MOST_COMMANDS: Final = 3
 LONGEST_REASON: Final = 400
 """Longest reason of a refusal; lists of names have up to 300 characters."""
@@ -75,7 +75,7 @@ def fuzz_run(seed: int, number: int, cycles: int) -> RunResult:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for done in range(cycles):
-            share = COMMAND_SHARE[loop.state.move is not None]
+            share = COMMAND_SHARE[loop.state.is_busy]
             sent = random.integers(1, MOST_COMMANDS + 1) if random.random() < share else 0
             commands = tuple(draw_command(random, loop.config.params) for _ in range(sent))
             before, commands_sent = loop.state, commands_sent + len(commands)
