@@ -52,9 +52,9 @@ NEAR_M: Final = 0.05
 """Clearance beyond the padding up to which distances are computed exactly; others are bounded from below."""
 LEAST_STEPS: Final = 8
 """Least number of steps along a path, on which a joint may turn back."""
-POSES: Final = 32
+POSES: Final = 24
 """Most poses in a piece of work; each takes some 25 us."""
-PAIRS: Final = 300
+PAIRS: Final = 200
 """Most pairs of shapes in a piece of work whose distance is computed exactly; each takes some 2.5 us."""
 SHORTEST_S: Final = 1e-3
 """Shortest step: a path is continuous, and no joint turns far in this time."""
