@@ -43,15 +43,10 @@ def step(
     before, at_boot, config = state, config, state.changed_config or config
     turning = None if state.move is None else _get_turning(state.move)
     readings, used, found = judge(config.readings, state.readings, sensors, turning, state.drive)
-    structure_C, structure_readings = state.structure_C, state.structure_readings
     is_due = readings.history.begins or state.tick % config.params.motion.load_period_cycles == 0
     if is_due and readings.used:
-        structure_C, structure_readings = _filter_structure(config, state, used.structure_C, readings)
-        # a plan, its move and its protection keep the arm that they began with
-        is_kept = state.planning is not None or state.move is not None
-        if not is_kept and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
-            config = configure_at(config, structure_C)
-            state = replace(state, changed_config=config)
+        state = _follow_structure(config, state, used.structure_C, readings)
+        config = state.changed_config or config
     joints, load, tool_channels = _estimate(config, state, used, readings)
     state, joints, decided = _decide(config, state, joints, load, used, commands, readings)
     if state.readings is not before.readings and state.readings is not readings:
@@ -83,8 +78,8 @@ def step(
         fault=after.fault,
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
-        structure_C=structure_C,
-        structure_readings=structure_readings,
+        structure_C=state.structure_C,
+        structure_readings=state.structure_readings,
         surface=state.surface,
         changed_config=state.changed_config,
         readings=readings,
@@ -93,17 +88,17 @@ def step(
     if commands and (fault := find_uncleared(evrs)) is not None:
         return refuse_clear(step(at_boot, before, sensors, without_clear(commands)), commands, fault)
     if before.tick == 0 or state.mode is not before.mode:
-        evrs = _report_changes(config, before, state, evrs)
+        evrs = _report_changes(at_boot, before, state, evrs)
     channels = joint_channels(before.tick, state, backlash_state)
     is_told = tool_channels is not None or readings.history is not before.readings.history
     validity = reading_channels(before.tick, readings) if is_told else None
     return state, Outputs(state.drive, channels, tool_channels, evrs, validity)
 
 
-def _report_changes(config: Config, before: State, state: State, evrs: tuple[Evr, ...]) -> tuple[Evr, ...]:
+def _report_changes(at_boot: Config, before: State, state: State, evrs: tuple[Evr, ...]) -> tuple[Evr, ...]:
     """Report the first cycle and a change of the mode, beside the other events."""
     if before.tick == 0:
-        evrs = (Booted(config.params_sha256), *evrs)
+        evrs = (Booted(at_boot.params_sha256), *evrs)
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
     return evrs
@@ -114,14 +109,21 @@ def _get_turning(move: Move) -> Flags:
     return ALL_JOINTS if move.phase is Phase.BRAKE else move.plan.active
 
 
-def _filter_structure(
-    config: Config, state: State, reading_C: float, judged: ReadingState
-) -> tuple[float, int]:
-    """Filter the temperature of the structure in each load period, from the mean of first readings on."""
+def _follow_structure(config: Config, state: State, reading_C: float, judged: ReadingState) -> State:
+    """Filter the temperature of the structure, and let the arm grow with it while it is at rest.
+
+    This is done in each load period; the filter begins with the mean of its first readings.
+    """
     period_s = CYCLE_S * config.params.motion.load_period_cycles
-    readings = 1 if judged.history.begins else state.structure_readings + 1
-    share = min(max(period_s / config.params.heat.filter_s, 1 / readings), 1.0)
-    return state.structure_C + share * (reading_C - state.structure_C), readings
+    count = 1 if judged.history.begins else state.structure_readings + 1
+    share = min(max(period_s / config.params.heat.filter_s, 1 / count), 1.0)
+    structure_C = state.structure_C + share * (reading_C - state.structure_C)
+    changed = state.changed_config
+    # a plan, its move and its protection keep the arm that they began with
+    is_kept = state.planning is not None or state.move is not None
+    if not is_kept and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
+        changed = configure_at(config, structure_C)
+    return replace(state, structure_C=structure_C, structure_readings=count, changed_config=changed)
 
 
 def _estimate(
