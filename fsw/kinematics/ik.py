@@ -182,7 +182,7 @@ def begin_search(
 
     Args:
         p_RoTo_R_m: Positions of targets in m, shape (3, n).
-        approach_R: Unit vectors, shape (3, n).
+        approach_R: Approach directions, unit vectors, shape (3, n).
         near_rad: As in `inverse_kinematics`, shape (5,) in rad.
     """
     roots = closed_form(arm, tool, p_RoTo_R_m, approach_R)
