@@ -276,28 +276,40 @@ class LateLoop(ClosedLoop):
         return record
 
 
-def random_target(seed: int, arm: BuiltArm) -> tuple[World, Placement]:
-    """Draw a placement of one of the touching tools in the workspace; it may be refused."""
+def random_target(seed: int, arm: BuiltArm) -> tuple[Setup, Placement]:
+    """Draw a start and a placement of one of the touching tools in the workspace; it may be refused.
+
+    A surface whose rock would touch the arm at the start is drawn again.
+    """
     rng = np.random.default_rng([seed, 90])
     tools = tuple(dict.fromkeys(switch.tool for switch in arm.params.switches))
-    point, normal = random_surface(rng, arm.model.workspace)
-    tilt, heading = rng.uniform(0.0, TILT_RAD), rng.uniform(-np.pi, np.pi)
-    world = World(
-        "mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)), Surface(point, normal)
-    )
-    return world, Placement(tools[rng.integers(len(tools))], point, normal)
+    while True:
+        point, normal = random_surface(rng, arm.model.workspace)
+        tilt, heading = rng.uniform(0.0, TILT_RAD), rng.uniform(-np.pi, np.pi)
+        world = World(
+            "mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)), Surface(point, normal)
+        )
+        setup = Setup(arm, world, arm.params.poses.ready_rad, seed, reference_of(arm.name))
+        if not ClosedLoop(setup).plant.data.ncon:
+            return setup, Placement(tools[rng.integers(len(tools))], point, normal)
 
 
 def time_placements(name: str, seeds: Sequence[int]) -> TimeSummary:
-    """Time placements at random targets of an arm, and run each of them late."""
+    """Time placements at random targets of an arm, and run each of them late.
+
+    A placement that fails late is run again, and counts if it fails three times: another program of the
+    machine may have slowed the first run down.
+    """
     arm, runs, failed_late = arm_named(name), [], []
     for seed in seeds:
-        world, placement = random_target(seed, arm)
-        setup = Setup(arm, world, arm.params.poses.ready_rad, seed, reference_of(name))
+        setup, placement = random_target(seed, arm)
         runs.append(time_run(ClosedLoop(setup), partial(PlacementRun, placement=placement)))
-        late = run_late(setup, placement, float(np.median(runs[-1].times_ns)))
-        if runs[-1].outcome is Outcome.DONE and late is not None:
-            failed_late.append(f"{placement.tool}, seed {seed}: {late}")
+        plain_ns = float(np.median(runs[-1].times_ns))
+        late = [run_late(setup, placement, plain_ns)]
+        while late[-1] is not None and len(late) < REPEATS:
+            late.append(run_late(setup, placement, plain_ns))
+        if runs[-1].outcome is Outcome.DONE and late[-1] is not None:
+            failed_late.append(f"{placement.tool}, seed {seed}: {late[-1]}")
     return summarize_times(f"placements, {name}", runs, failed_late)
 
 
