@@ -4,6 +4,10 @@ Each draw begins in a stored state of a run: at rest, in a free move, before and
 homing. It goes on for two seconds with one wrong reading, or three of ten, or one that stays wrong, and is
 compared with the same run without them. As long as both give the same actuator commands they have the same
 sensors, so the plant is stepped only for a draw that commands something else.
+
+Where load and friction leave the side of a joint undecided, the estimate says so, by an uncertainty of more
+than half the backlash. The least change of a load may then move the estimate to the other side a load period
+sooner or later. The difference of two estimates at that time is counted apart, and has no bound.
 """
 
 import warnings
@@ -195,15 +199,19 @@ class Result:
     draw: Draw
     told: int
     output_rad: float
+    """Largest difference of the angles of joints whose side both estimates know."""
+    undecided_rad: float
+    """Largest difference of the angles of the other joints."""
     tool_m: float
+    """Largest difference of the tool while no joint of which a side is not known differs."""
     problem: str
 
 
 def try_draw(name: str, kind: str, start: Start, draw: Draw) -> Result:
     """Run a draw beside the run without it."""
     problem = ""
-    told, output_rad, tool_m, faults, events = 0, 0.0, 0.0, [], []
-    last = 0 if kind == "stays" else max(draw.cycles)
+    told, output_rad, undecided_rad, tool_m, faults, events = 0, 0.0, 0.0, 0.0, [], []
+    last, were_apart = 0 if kind == "stays" else max(draw.cycles), False
     faulted, held = None, None
     for cycle, (state, outputs) in enumerate(_run(start, draw)):
         reference, there = start.outputs[cycle], start.states[cycle]
@@ -215,9 +223,11 @@ def try_draw(name: str, kind: str, start: Start, draw: Draw) -> Result:
         if held is not None and not np.array_equal(held, outputs.drive.setpoint_count):
             problem = "a set-point moves after the fault"
         if cycle >= last + GOOD_READINGS and kind != "stays":
-            difference = np.abs(state.joints.output_rad - there.joints.output_rad).max()
-            output_rad = max(output_rad, float(difference))
-            if outputs.tool is not None and reference.tool is not None:
+            decided_rad, apart_rad = compare_outputs(state, there)
+            output_rad, undecided_rad = max(output_rad, decided_rad), max(undecided_rad, apart_rad)
+            # the pose of the tool is of the outputs before the load of this cycle may move them
+            are_apart, were_apart = were_apart or apart_rad > OUTPUT_RAD, apart_rad > OUTPUT_RAD
+            if outputs.tool is not None and reference.tool is not None and not are_apart:
                 away = outputs.tool.p_RoTo_R_m - reference.tool.p_RoTo_R_m
                 tool_m = max(tool_m, float(np.linalg.norm(away)))
     wild = [cycle for cycle in draw.cycles if _is_wild(start, draw, cycle)]
@@ -227,7 +237,7 @@ def try_draw(name: str, kind: str, start: Start, draw: Draw) -> Result:
             problem = problem or f"a fault after {faulted + 1} cycles: {faults[0].message}"
         if _never_plausible(start, draw) and (faulted is None or faulted > persistence):
             problem = problem or f"no fault in {persistence} cycles: {faulted}"
-        return Result(name, kind, draw, told, output_rad, tool_m, problem)
+        return Result(name, kind, draw, told, output_rad, undecided_rad, tool_m, problem)
     expected = [evr.name for out in start.outputs for evr in out.evrs]
     if faults:
         problem = f"fault: {faults[0].message}"
@@ -244,7 +254,18 @@ def try_draw(name: str, kind: str, start: Start, draw: Draw) -> Result:
         problem = problem or f"outputs differ by {1e3 * output_rad:.3f} mrad, bound {1e3 * bound_rad:.3f}"
     if tool_m > max(TOOL_M, LEVER_M * bound_rad * (bound_rad > OUTPUT_RAD)):
         problem = problem or f"tool differs by {1e3 * tool_m:.3f} mm"
-    return Result(name, kind, draw, told, output_rad, tool_m, problem)
+    return Result(name, kind, draw, told, output_rad, undecided_rad, tool_m, problem)
+
+
+def compare_outputs(one: State, other: State) -> tuple[float, float]:
+    """Return the largest difference [rad] of joints whose side both states know, and that of the others."""
+    difference_rad = np.abs(one.joints.output_rad - other.joints.output_rad)
+    uncertainty_rad = np.maximum(one.joints.uncertainty_rad, other.joints.uncertainty_rad)
+    undecided = uncertainty_rad > one.joints.reference.half_backlash_rad
+    return (
+        float(difference_rad[~undecided].max(initial=0.0)),
+        float(difference_rad[undecided].max(initial=0.0)),
+    )
 
 
 def _bound_rad(start: Start, draw: Draw) -> float:
@@ -419,6 +440,10 @@ def campaign(context: Context, draws: int = 10_000, arms: int = 4, only: str = "
         "of": len(once),
         "max_output_urad": 1e6 * max((one.output_rad for one in once if one.told), default=0.0),
         "max_tool_mm": 1e3 * max((one.tool_m for one in once if one.told), default=0.0),
+        "undecided": {
+            "draws": sum(one.undecided_rad > OUTPUT_RAD for one in results),
+            "max_output_urad": 1e6 * max((one.undecided_rad for one in results), default=0.0),
+        },
         "told_without_a_wrong_reading": quiet,
         "bad": bad,
     }
