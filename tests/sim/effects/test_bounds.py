@@ -1,6 +1,7 @@
 """Every effect at both ends of its bounds, on an arm that moves: the plant does not diverge."""
 
 from itertools import product
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from fsw.dictionary.types import joints5
 from helpers.marks import slow_but
 from sim.arms import arm_named
 from sim.effects.catalogue import all_places, catalogue, parameters_of
-from sim.effects.faults import WeakMotor
+from sim.effects.faults import SensorFault, SensorName, WeakMotor
 from sim.effects.structure import LinkCreep
 from sim.loop import ClosedLoop, Setup
 from sim.scenario.effects import effect_text
@@ -38,10 +39,18 @@ def ends_of(parameter) -> tuple[object, ...]:
     return tuple(end if parameter.count == 1 else (end,) * parameter.count for end in ends)
 
 
+def places_of(kind) -> list[dict[str, object]]:
+    """Return the first and the last place of an effect; those of all sensors whose error has a size."""
+    if kind is SensorFault:
+        return [{"sensor": name, "kind": way} for name in get_args(SensorName) for way in ("biased", "noisy")]
+    places = list(all_places(kind))
+    return places[:: max(len(places) - 1, 1)]
+
+
 def effects_at_their_ends(kind):
-    """Yield the effect at its first and its last place, with every combination of the ends."""
-    places, parameters = list(all_places(kind)), parameters_of(kind)
-    for place in places[:: max(len(places) - 1, 1)]:
+    """Yield the effect at its places, with every combination of the ends."""
+    parameters = parameters_of(kind)
+    for place in places_of(kind):
         for ends in product(*map(ends_of, parameters)):
             try:
                 yield kind(**place, **dict(zip((p.field for p in parameters), ends, strict=True)))
