@@ -56,10 +56,9 @@ class Config:
         """Compute the SHA-256 of the parameter values; few configurations are asked for it."""
         return digest(self.params)
 
-    def prepare(self) -> "Config":
+    def prepare(self) -> None:
         """Compute what is otherwise computed when it is first asked for, so that no first cycle has to."""
         _ = self.collision_geometry, self.params_sha256
-        return self
 
 
 def configure(params: Params) -> Config:

@@ -269,28 +269,6 @@ class FixedPointRoots:
     """True if the error is within the tolerance, (n,)."""
 
 
-def solve_fixed_point(
-    arm: Arm,
-    tool: str,
-    p: Array,
-    a: Array,
-    gravity_R_m_s2: Array,
-    start_rad: Array,
-    fold_distance: Array,
-    selected: Flags,
-) -> FixedPointRoots:
-    """Find the roots of the real arm on the branches of the orthogonal arm's roots.
-
-    Args:
-        start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
-        fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
-    """
-    search = begin_fixed_point(arm, tool, p, a, gravity_R_m_s2, start_rad, fold_distance, selected)
-    while isinstance(search, FixedPointSearch):
-        search = search.advance()
-    return search
-
-
 def begin_fixed_point(
     arm: Arm,
     tool: str,
@@ -301,7 +279,14 @@ def begin_fixed_point(
     fold_distance: Array,
     selected: Flags,
 ) -> "FixedPointSearch | FixedPointRoots":
-    """Begin what `solve_fixed_point` does; if no root is selected there is nothing to search."""
+    """Begin the search of the roots of the real arm on the branches of the orthogonal arm's roots.
+
+    If no root is selected there is nothing to search.
+
+    Args:
+        start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
+        fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
+    """
     n = selected.size
     largest = DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
     tolerance = largest * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2

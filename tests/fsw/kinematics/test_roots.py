@@ -9,7 +9,13 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import branch_index, closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
-from fsw.kinematics.roots import MOST_MISSING_M, TASK_TOLERANCE, refine_roots, solve_fixed_point
+from fsw.kinematics.roots import (
+    MOST_MISSING_M,
+    TASK_TOLERANCE,
+    FixedPointSearch,
+    begin_fixed_point,
+    refine_roots,
+)
 from fsw.kinematics.statics import relative_target, settle, settle_output, task_error
 from fsw.kinematics.transforms import dot, select_targets, wrap_angle
 from helpers.marks import slow_but
@@ -80,7 +86,9 @@ def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
     q[4] = np.random.default_rng(2).uniform(0.2, 1.0, n) - trial.arm.orthogonal["apxs"].clock_rad
     X = trial.tool_pose(q)
     far, every = np.ones(n), np.ones(n, bool)
-    roots = solve_fixed_point(trial.arm, "apxs", X.p, X.R[:, 0], MARS_R_m_s2, q, far, every)
+    roots = begin_fixed_point(trial.arm, "apxs", X.p, X.R[:, 0], MARS_R_m_s2, q, far, every)
+    while isinstance(roots, FixedPointSearch):
+        roots = roots.advance()
     assert not roots.followed.any()
     # the first iteration gives a rough estimate
     assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0), 0.9) < 0.05
